@@ -36,14 +36,7 @@ LABELS = {
 
 @dataclass(frozen=True)
 class Control:
-    """A field that can be turned.
-
-    path : dotted name of the field
-    label, unit, help : for the reader
-    least, most : bounds of typed numbers; None: there are none
-    choices : in place of numbers
-    pair : whether the field has two numbers, of which the first is turned
-    """
+    """A field that can be turned, by its dotted name, with its bounds or choices; of a `pair` of numbers, the first is turned."""
 
     path: str
     label: str
@@ -75,11 +68,7 @@ class Control:
 
 
 def controls_of(parameters: Collection[str], lenses: Sequence[str]) -> list[Control]:
-    """Return the controls of a scene, or of light, which has no parameters and takes no other lens.
-
-    parameters : names of those of the scene
-    lenses : names or files that may be chosen
-    """
+    """Return the controls of a scene with these parameters, and of the lenses; light in memory has neither."""
     schema = Run.model_json_schema()
     found = [control for path in TURNED if (control := _of_field(schema, path)) is not None]
     if lenses:
@@ -120,10 +109,7 @@ class Preset(NamedTuple):
 
 
 def presets_of(config: Sequence[Path], tables: Mapping[str, Any]) -> list[Preset]:
-    """Return the presets: first what the user gave, then each of several files of the user's, technologies and cameras.
-
-    config, tables : files and options of the user
-    """
+    """Return the presets: first the files and options of the user, then each of several files, technologies and cameras."""
     found = [Preset("start", "as given", tuple(config), tables)]
     found += [Preset("files", path.name, (path,), tables) for path in config if len(config) > 1]
     others = {name: table for name, table in tables.items() if name != "pixel"}
@@ -142,11 +128,7 @@ def with_values(tables: Mapping[str, Any], values: Mapping[str, object]) -> dict
 
 
 def command_words(source: str, config: Sequence[Path], tables: Mapping[str, Any], repeats: int, flags: Sequence[str]) -> str:
-    """Return the command `pixsim run` with these settings, for a shell.
-
-    tables : options, as of the command line
-    flags : further words
-    """
+    """Return the command `pixsim run` with these settings files, options and further words, for a shell."""
     words = ["pixsim", "run", source, *(word for path in config for word in ("--config", str(path))), *flags]
     return shlex.join([*words, *_options(tables), *(["--repeats", str(repeats)] if repeats > 1 else [])])
 

@@ -18,12 +18,10 @@ from pixsim.sensor.pixel_options import Pixel
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display_options import Display
 
-NEEDED = "starlette", "uvicorn", "websockets"
-
 
 def check_installed() -> None:
     """Raise PixsimError if a package of the server is missing."""
-    if missing := [name for name in NEEDED if find_spec(name) is None]:
+    if missing := [name for name in ("starlette", "uvicorn", "websockets") if find_spec(name) is None]:
         raise invalid("explore", f"no package {', '.join(missing)}", "pip install 'pixsim[explore]'")
 
 
@@ -53,14 +51,8 @@ def explore(
     check_installed()
     from pixsim.explorer.server import explore_until_closed
 
-    given = {
-        "pixel": pixel,
-        "camera": camera,
-        "exposure": exposure,
-        "display": display,
-        "correction": correction,
-        "develop": develop,
-    }
-    records: dict[str, Record] = {name: record for name, record in given.items() if isinstance(record, Record)}
-    own = {name: record.model_dump(exclude_unset=True, exclude_none=True, exclude={"lens"}) for name, record in records.items()}
-    explore_until_closed(Session(light, (), own), opened)
+    names = "pixel", "camera", "exposure", "display", "correction", "develop"
+    own = zip(names, (pixel, camera, exposure, display, correction, develop), strict=True)
+    stated = {"exclude_unset": True, "exclude_none": True, "exclude": {"lens"}}
+    tables = {name: record.model_dump(**stated) for name, record in own if isinstance(record, Record)}  # type: ignore[arg-type]
+    explore_until_closed(Session(light, (), tables), opened)

@@ -57,14 +57,11 @@ class SamePage:
         if scope["type"] in ("http", "websocket"):
             found = {name: [value for key, value in scope["headers"] if key == name] for name in (b"host", b"origin")}
             host, origin = found[b"host"], found[b"origin"]
-            known = len(host) == 1 and host[0] in self.hosts
-            own = origin == [b"http://" + host[0]] if known and (origin or scope["type"] == "websocket") else known
-            if not own:
-                if scope["type"] == "websocket":
-                    await send({"type": "websocket.close", "code": REFUSED})  # before it is accepted: 403
-                else:
-                    await Response("another host or origin", 403)(scope, receive, send)
-                return
+            asks = bool(origin) or scope["type"] == "websocket"  # a page that is opened states no origin
+            if len(host) != 1 or host[0] not in self.hosts or (asks and origin != [b"http://" + host[0]]):
+                if scope["type"] == "http":
+                    return await Response("another host or origin", 403)(scope, receive, send)
+                return await send({"type": "websocket.close", "code": REFUSED})  # before it is accepted: 403
         await self.app(scope, receive, send)
 
 
@@ -106,7 +103,7 @@ class Pages:
                     self.session.ask(Asked.of(await page.receive_json()))
                 except PixsimError as error:
                     await page.send_json({"error": str(error)})
-        except (WebSocketDisconnect, TimeoutError, KeyError, ValueError):
+        except (WebSocketDisconnect, TimeoutError, KeyError, ValueError, RecursionError):
             pass  # the page is closed, or sent no token, no text, no JSON
         finally:
             if self.open is page:
@@ -145,10 +142,7 @@ def served(session: Session) -> Iterator[Path]:
 
 
 def explore_until_closed(session: Session, told: Callable[[Path], object] | None = None) -> None:
-    """Open the page of a session, and compute what it asks for until it is closed.
-
-    told : takes the file that leads to the page, in place of the browser
-    """
+    """Open the page of a session by the browser, or by what is `told` its file, and compute what it asks for until it is closed."""
     with served(session) as file:
         if told is not None:
             told(file)

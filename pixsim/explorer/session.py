@@ -44,13 +44,7 @@ class SupersededError(BaseException):
 
 
 class Asked(NamedTuple):
-    """What a page asks for.
-
-    number : of the request
-    sensors : of each, the place of its preset and the values of its controls by their paths
-    metrics : beside ΔE
-    curve : whether a curve over pixel sizes is wanted
-    """
+    """What a page asks for: a preset and values of controls for each sensor, metrics beside ΔE, and perhaps a curve."""
 
     number: int
     sensors: tuple[tuple[int, Mapping[str, Any]], ...]
@@ -87,7 +81,7 @@ class Session:
     send: Callable[[dict[str, Any]], None] = lambda message: None
 
     def __post_init__(self) -> None:
-        self._changed, self._ended, self._told_s = threading.Condition(), False, 0.0
+        self._wake, self._ended, self._told_s = threading.Event(), False, 0.0
         self._asked: Asked | None = None
         self._lights: dict[str, LitRun] = {}  # the last one last
         self._scenes, self._points = KeptScenes(), dict[str, list[float]]()
@@ -108,31 +102,29 @@ class Session:
 
     def ask(self, asked: Asked) -> None:
         """Drop what is asked for now, and compute this."""
-        with self._changed:
-            self._asked = asked
-            self._changed.notify()
+        self._asked = asked
+        self._wake.set()
 
     def end(self) -> None:
         """End `serve`."""
-        with self._changed:
-            self._ended = True
-            self._changed.notify()
+        self._ended = True
+        self._wake.set()
 
     def serve(self) -> None:
         """Compute what is asked for until `end` is called."""
-        while True:
-            with self._changed:
-                while not (self._changed.wait_for(lambda: self._ended or self._asked is not None, 0.5)):
-                    pass  # not for ever at once: some systems would then take no Ctrl-C
-                asked, self._asked = self._asked, None
-                if self._ended or asked is None:
-                    return
+        answered = None
+        while not self._ended:
+            self._wake.wait(0.5)  # not for ever at once: some systems would then take no Ctrl-C
+            self._wake.clear()
+            if (asked := self._asked) is None or asked is answered:
+                continue
+            answered = asked
             try:
                 with warnings.catch_warnings():
                     warnings.showwarning = lambda *_, **__: None  # the page has them as notes
                     self.answer(asked)
             except SupersededError:
-                continue
+                pass  # what came is next
             except (PixsimError, MemoryError) as error:
                 words = str(error) or "out of memory: take larger pixels, or a smaller part of the die"
                 self.send({"number": asked.number, "error": words})
@@ -189,7 +181,7 @@ class Session:
 
         def stage(name: str) -> Progress:
             def progress(done: float = 0.0, note: str = "") -> None:
-                if self._asked is not None or self._ended:
+                if self._asked not in (None, asked) or self._ended:
                     raise SupersededError
                 if time.monotonic() - self._told_s > TELL_S:
                     self._told_s = time.monotonic()
@@ -232,11 +224,7 @@ class Session:
         return lit
 
     def _message(self, asked: Asked, number: int, result: RunResult, *, sure: bool, known: bool = False) -> dict[str, Any]:
-        """Return what the page shows of a sensor.
-
-        sure : whether its errors are known
-        known : whether the page has its pictures
-        """
+        """Return what the page shows of a sensor: whether its errors are `sure`; no pictures if these are `known`."""
         score, job = result.score, result.prepared
         found: dict[str, Any] = {"number": asked.number, "sensor": number, "sure": sure, "values": self._values(result)}
         if not known:

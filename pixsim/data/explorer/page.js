@@ -5,7 +5,7 @@ const token = location.hash.slice(1) || sessionStorage.getItem("token");
 sessionStorage.setItem("token", token ?? "");  // for a page that is loaded again
 history.replaceState(null, "", location.pathname);
 
-let hello, number = 0, which = 0, asking = 0, first = true;
+let hello, number = 0, which = 0, asking = 0;
 const sensors = [{preset: 0, set: {}}, {preset: 0, set: {}}], seen = [{}, {}], points = [[], []], fields = {};
 const count = () => at("two").checked ? 2 : 1;
 const setOf = control => sensors[control.of_all ? 0 : which].set;
@@ -23,17 +23,15 @@ function received(message) {
   if (message.hello) return begin(message.hello);
   if (message.number !== undefined && message.number !== number) return;  // of older settings
   if (message.error) {
-    at("error").textContent = message.error; at("error").hidden = false; at("stack").classList.add("old");
+    complain(message.error);
     at("state").textContent = "These settings are not possible; the picture is that of the last possible ones.";
   } else if (message.busy) at("state").textContent = message.busy;
   else if (message.point) { points[message.sensor].push(message.point); draw(); }
   else if (message.done) at("state").textContent = "done";
-  else {
-    seen[message.sensor] = {...seen[message.sensor], ...message};
-    if (!message.sure) delete seen[message.sensor].command;
-    show();
-  }
+  else { seen[message.sensor] = {...seen[message.sensor], command: "", ...message}; show(); }
 }
+
+function complain(words) { at("error").textContent = words; at("error").hidden = false; at("stack").classList.add("old"); }
 
 function begin(found) {
   hello = found;
@@ -52,38 +50,26 @@ function begin(found) {
 }
 
 function addControl(control) {
-  const id = control.path, box = make("div", {className: "control"});
-  const words = control.label + (control.unit ? ` (${control.unit})` : "");
-  const label = make("label", {htmlFor: id, textContent: words});
-  const reset = make("button", {type: "button", textContent: "reset"});
+  const id = control.path, words = control.label + (control.unit ? ` (${control.unit})` : "");
+  const label = make("label", {htmlFor: id, textContent: words}), reset = make("button", {type: "button", textContent: "reset"});
   reset.setAttribute("aria-label", `reset ${control.label}`);
-  let slider, field;
-  if (control.choices.length) {
-    field = make("select", {id});
-    control.choices.forEach(each => field.append(make("option", {textContent: each})));
-  } else {
-    field = make("input", {id, type: "number", step: "any"});
-    if (control.least !== null) field.min = control.least;
-    if (control.most !== null) field.max = control.most;
-    slider = make("input", {type: "range", min: 0, max: SLIDER, step: 1});
-    slider.setAttribute("aria-label", `${words}, slider`);
-  }
-  const turn = value => { setOf(control)[control.path] = value; mark(control); ask(); };
+  const isChoice = control.choices.length > 0, slider = isChoice ? null : make("input", {type: "range", min: 0, max: SLIDER});
+  const field = isChoice ? make("select", {id})
+    : make("input", {id, type: "number", step: "any", min: control.least ?? "", max: control.most ?? ""});
+  control.choices.forEach(each => field.append(make("option", {textContent: each})));
+  slider?.setAttribute("aria-label", `${words}, slider`);
+  const turn = value => { setOf(control)[id] = value; mark(control); ask(); };
   field.onchange = () => {
-    if (control.choices.length) return turn(field.value);
+    if (isChoice) return turn(field.value);
     if (field.value !== "" && field.checkValidity()) return turn(Number(field.value));
-    at("error").textContent = `${control.label}: ${field.validationMessage || "a number is missing"}`; at("error").hidden = false;
+    complain(`${control.label}: ${field.validationMessage || "a number is missing"}`);
   };
-  if (slider) slider.oninput = () => {
-    const value = round(scaled(fields[id].range, slider.value / SLIDER));
-    field.value = value; speak(control, value);
-    turn(value);
-  };
-  reset.onclick = () => { delete setOf(control)[control.path]; fields[id].range = undefined; mark(control); ask(); };
-  const help = make("small", {id: `${id}-help`, textContent: control.help});
-  field.setAttribute("aria-describedby", help.id);
+  const slide = () => { field.value = round(scaled(fields[id].range, slider.value / SLIDER)); speak(control, field.value); };
+  if (slider) slider.oninput = () => { slide(); turn(Number(field.value)); };
+  reset.onclick = () => { delete setOf(control)[id]; fields[id].range = undefined; mark(control); ask(); };
+  const help = make("small", {id: `${id}-help`, textContent: control.help}), box = make("div", {className: "control"});
+  field.setAttribute("aria-describedby", help.id); at("controls").append(box);
   box.append(label, ...(slider ? [slider] : []), field, reset, help);
-  at("controls").append(box);
   fields[id] = {control, field, slider, label};
 }
 
@@ -127,35 +113,28 @@ function ask() {
 
 const PICTURES = {ideal: "ideal picture", image: "sensor's picture", delta_e: "ΔE map"};
 function fillPictures() {
-  for (const [side, chosen] of [["left", "0 ideal"], ["right", count() > 1 ? "1 image" : "0 image"]]) {
-    const old = at(side).value;
-    at(side).replaceChildren();
-    for (let index = 0; index < count(); index++)
-      for (const [name, words] of Object.entries(PICTURES))
-        at(side).append(make("option", {value: `${index} ${name}`, textContent: count() > 1 ? `${words}, ${NAMES[index]}` : words}));
-    at(side).value = !first && [...at(side).options].some(each => each.value === old) && count() === 1 ? old : chosen;
+  for (const [side, chosen] of [["left", count() > 1 ? "0 image" : "0 ideal"], ["right", count() > 1 ? "1 image" : "0 image"]]) {
+    at(side).replaceChildren(...NAMES.slice(0, count()).flatMap((own, index) => Object.entries(PICTURES).map(([name, words]) =>
+      make("option", {value: `${index} ${name}`, textContent: count() > 1 ? `${words}, ${own}` : words}))));
+    at(side).value = chosen;
   }
-  if (count() > 1) at("left").value = "0 image";
-  first = false;
 }
 
 function show() {
-  const shown = seen.slice(0, count());
+  const shown = seen.slice(0, count()), most = Math.max(...shown.map(each => each.dots?.[1] ?? 0));
+  const [size, unit] = at("whole").checked ? [devicePixelRatio, "px"] : [most / 100, "%"];
   for (const [side, image] of [["left", at("over")], ["right", at("under")]]) {
     const [index, name] = at(side).value.split(" "), found = seen[index];
     if (!found.pictures) continue;
     image.src = found.pictures[name];
     image.alt = `${PICTURES[name]}${count() > 1 ? `, sensor ${NAMES[index]}` : ""}, ${found.lines[0]}`;
     // A sensor of larger pixels has a wider border that is not shown: dots stay in their place.
-    const most = Math.max(...shown.map(each => each.dots?.[1] ?? 0)), [size, unit] = at("whole").checked ? [devicePixelRatio, "px"] : [most / 100, "%"];
-    image.style.width = `${found.dots[1] / size}${unit}`;
-    image.style.margin = `${(most - found.dots[1]) / 2 / size}${unit}`;
+    Object.assign(image.style, {width: `${found.dots[1] / size}${unit}`, margin: `${(most - found.dots[1]) / 2 / size}${unit}`});
   }
   at("stack").classList.toggle("whole", at("whole").checked);
   at("stack").classList.toggle("old", shown.some(each => each.number !== number));
-  const wipe = at("wipe").value;
-  at("over").style.clipPath = `inset(0 ${100 - wipe}% 0 0)`;
-  at("wipe").setAttribute("aria-valuetext", `${wipe} % of the width is the left picture`);
+  at("over").style.clipPath = `inset(0 ${100 - at("wipe").value}% 0 0)`;
+  at("wipe").setAttribute("aria-valuetext", `${at("wipe").value} % of the width is the left picture`);
   const unsure = [...new Set(shown.map(each => each.unsure).filter(Boolean))].join("; ");
   at("unsure").textContent = unsure; at("unsure").hidden = !unsure;
   at("scale").textContent = shown.filter(each => each.end).map((each, index) =>
@@ -173,17 +152,15 @@ function show() {
 
 function draw() {
   const all = points.flat(), svg = at("plot").querySelector("svg");
-  at("plot").hidden = !all.length;
   svg.replaceChildren();
-  if (!all.length) return;
+  if (at("plot").hidden = !all.length) return;
   const x = all.map(each => Math.log(each[0])), low = Math.min(...x), wide = Math.max(...x) - low || 1;
   const top = Math.max(...all.map(each => each[1] + each[2])) || 1;
   const place = ([pitch, mean]) => [40 + 340 * (Math.log(pitch) - low) / wide, 170 - 155 * Math.max(mean, 0) / top];
-  const add = (parent, tag, more, words) => {
+  const add = (parent, tag, more, words = "") => {
     const each = parent.appendChild(document.createElementNS(svg.namespaceURI, tag));
     Object.entries(more).forEach(([name, value]) => each.setAttribute(name, value));
-    if (words !== undefined) each.textContent = words;
-    return each;
+    return each.append(words), each;
   };
   points.slice(0, count()).forEach((own, index) => {
     const group = add(svg, "g", {class: NAMES[index].toLowerCase()}), sorted = [...own].sort((one, other) => one[0] - other[0]);
@@ -204,24 +181,21 @@ function draw() {
 
 at("two").onchange = () => {
   sensors[1] = structuredClone(sensors[0]); seen[1] = seen[0]; which = 0;
-  document.querySelector("[name=which]").checked = true;
-  at("which").hidden = count() === 1;
+  document.querySelector("[name=which]").checked = true; at("which").hidden = count() === 1;
   fillPictures(); ask();
 };
 at("which").onchange = event => { which = Number(event.target.value); at("preset").value = sensors[which].preset; forget(); show(); };
 const forget = () => Object.values(fields).forEach(each => each.range = undefined);
-at("preset").onchange = () => { sensors[which] = {preset: Number(at("preset").value), set: which ? {} : {}}; forget(); ask(); };
-at("reset").onclick = () => { sensors[which].set = {}; if (which) sensors[0].set = Object.fromEntries(Object.entries(sensors[0].set).filter(([path]) => !fields[path].control.of_all)); forget(); ask(); };
+at("preset").onchange = () => { sensors[which] = {preset: Number(at("preset").value), set: {}}; forget(); ask(); };
+at("reset").onclick = () => { Object.values(fields).forEach(({control}) => delete setOf(control)[control.path]); forget(); ask(); };
 at("curve").onchange = ask;
-for (const id of ["left", "right", "whole"]) at(id).onchange = show;
-at("wipe").oninput = show;
+for (const id of ["left", "right", "whole", "wipe"]) at(id).oninput = show;
 at("settings").onsubmit = event => event.preventDefault();
 at("copy").onclick = async () => {
   await navigator.clipboard.writeText(seen[which].command);
   at("state").textContent = "The command is in the clipboard; its image.png is this picture.";
 };
 at("save").onclick = () => {
-  const url = URL.createObjectURL(new Blob([seen[which].settings], {type: "application/toml"}));
-  make("a", {href: url, download: "settings.toml"}).click();
-  URL.revokeObjectURL(url);
+  const href = URL.createObjectURL(new Blob([seen[which].settings], {type: "application/toml"}));
+  make("a", {href, download: "settings.toml"}).click(); URL.revokeObjectURL(href);
 };
