@@ -147,5 +147,6 @@ def explore_until_closed(session: Session, told: Callable[[Path], object] | None
         if told is not None:
             told(file)
         elif not webbrowser.open(file.as_uri()):
-            raise invalid("browser", "none that can be opened", "a browser", f"Open this file yourself: {file}, with --no-browser.")
+            hint = "--no-browser (opened=print in Python) names the file that leads to the page, for any browser."
+            raise invalid("browser", "none that can be opened", "a browser", hint)
         session.serve()
