@@ -11,6 +11,7 @@ TYPE_CHECKING = False  # as of `typing`, whose import takes as long as the rest 
 if TYPE_CHECKING:
     from pixsim import optics as optics, sensor as sensor
     from pixsim.base.errors import PixsimError as PixsimError
+    from pixsim.explorer.exploring import explore as explore
     from pixsim.light import spectral as spectral
     from pixsim.light.exr import read_exr as read_exr, write_exr as write_exr
     from pixsim.light.spectral import SpectralImage as SpectralImage
@@ -85,6 +86,7 @@ _NAMES_OF = {
     "report.write": "write_report",
     "studies.run": "run",
     "studies.many_sensors": "sweep",
+    "explorer.exploring": "explore",
     "verification.survey": "accuracy",
 }
 _HOME = {name: module for module, names in _NAMES_OF.items() for name in names.split()}

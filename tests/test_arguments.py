@@ -176,7 +176,7 @@ NOT_CALLED = {
     "pixsim.measure.sfr.EdgeResponse.write": "it writes a folder",
     "pixsim.accuracy": "its own tests below", "pixsim.verification": "a whole survey",
     "pixsim.datasheet": "its own tests below", "pixsim.measure.datasheet": "a whole measurement",
-    "pixsim.run": "its own tests below", "pixsim.studies.run.RunResult": "a whole run",
+    "pixsim.explore": "it opens a page", "pixsim.run": "its own tests below", "pixsim.studies.run.RunResult": "a whole run",
     "pixsim.studies.result.StudyResult": "a whole study", "pixsim.studies.result.Curve": "of a whole study",
     "pixsim.PixsimError": "takes any text", "pixsim.studies.many_sensors.SensorTable": "the rows of a sweep",
 }  # fmt: skip

@@ -35,13 +35,15 @@ _showing = threading.RLock()
 
 
 @contextmanager
-def collected_notes() -> Iterator[list[str]]:
+def collected_notes(alone: bool = False) -> Iterator[list[str]]:
     """Collect the texts of the warnings of the block, each once; they are shown as before, by the filters of the caller.
 
     A warning counts in whichever earlier call it was shown before; a MachineWarning is shown, and does not count. A block
     inside another shares its list: what a command said before belongs to its result.
+
+    alone : share no list, for one of many results of a command
     """
-    if (outer := _outer.get()) is not None:
+    if (outer := _outer.get()) is not None and not alone:
         yield outer
         return
     notes: list[str] = []

@@ -113,6 +113,9 @@ def check_current_folder() -> None:
         raise invalid("current folder", got, "a folder that exists", "Change to another one: cd ~") from None
 
 
+Units = Annotated[
+    str | None, Parameter(help="Units of an image whose file does not state them, such as W.m^-2.nm^-1.", metavar="UNIT")
+]
 Scheduler = Annotated[
     str | None, Parameter(help="Address of a Dask scheduler (tcp://host:8786); its workers replace --jobs.", metavar="ADDRESS")
 ]
@@ -138,9 +141,7 @@ def run(
     noise_budget: common.NoiseBudget = None,
     sensor: common.SensorId = None,
     variant: common.Variant = None,
-    units: Annotated[
-        str | None, Parameter(help="Units of an image whose file does not state them, such as W.m^-2.nm^-1.", metavar="UNIT")
-    ] = None,
+    units: Units = None,
     raw: Annotated[
         list[RawFormat] | None,
         Parameter(help="Also write the raw frame in these formats, as --raw tiff png.", consume_multiple=False),
@@ -217,6 +218,46 @@ def run(
             document = run_document(result, warned=result.warned)
             write_made_from(folder, "run", made_from, {"lines": text(document).splitlines(), "warned": list(result.warned)})
     answer(document, json, f"report: {folder / 'report.html'}")
+
+
+@app.command
+def explore(
+    scene: Annotated[
+        str,
+        Parameter(
+            help=f"{SCENE_HELP} Or a spectral image of another program (.exr, .npz, .hdr).", completer=common.complete_picture
+        ),
+    ] = "csf",
+    *,
+    options: SceneOptions = common.NO_OPTIONS,
+    display: common.DisplayTable = None,
+    judges: common.Judges = common.NO_JUDGES,
+    seed: common.Seed = None,
+    tolerance_e: common.Tolerance = None,
+    effort: common.Effort = common.NO_EFFORT,
+    sensor: common.SensorId = None,
+    variant: common.Variant = None,
+    units: Units = None,
+    browser: Annotated[
+        bool, Parameter(help="Open no browser: print the file that leads to the page.", negative="--no-browser")
+    ] = True,
+) -> None:
+    """Turn settings on a page of this machine, and see what a sensor makes of a scene.
+
+    Example: pixsim explore csf --config my_sensor.toml
+
+    It ends when the page is closed, or by Ctrl-C. It reads no other files than those named here, and serves this user alone.
+    """
+    from pixsim.explorer.exploring import check_installed
+
+    check_installed()
+    from pixsim.explorer.server import explore_until_closed
+    from pixsim.explorer.session import Session
+
+    tables = options.tables(effort, display=display, seed=seed, tolerance_e=tolerance_e, **vars(judges))
+    given_here = {"sensor": sensor, "variant": variant, "units": units}
+    session = Session(scene, options.config or (), tables, given_here)
+    explore_until_closed(session, None if browser else lambda file: say(f"page: {file}\n"))
 
 
 @app.command

@@ -76,6 +76,7 @@ MIN_VERSIONS = ("mitsuba", "drjit", "numpy", "scipy")  # checked if the metadata
 OPTIONAL = {  # package -> extra of pixsim that installs it, and its purpose
     variant.LLVM_WHEEL: ("llvm", "fast renders where the system has no LLVM"),
     "distributed": ("cluster", "studies on a cluster"),
+    "starlette": ("explore", "the page of pixsim explore"),
     "spectral": ("envi", "ENVI cubes"),
     "flip-evaluator": ("flip", "the metric flip"),
     "scikit-image": ("denoise", "the denoisers nlm and wavelet"),

@@ -20,7 +20,7 @@ from pixsim.base.notes import collected_notes, warn
 from pixsim.base.progress import Stage, no_stage, share_of, watched
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
-from pixsim.optics.exchange import read_with_camera
+from pixsim.optics.exchange import camera_of_light, read_with_camera
 from pixsim.scene.convergence import without_clock
 from pixsim.scene.plan import Plan
 from pixsim.scene.scene import Scene, packaged_scenes
@@ -53,6 +53,7 @@ from pixsim.viewer.noise_budget import NoiseBudget, noise_budget
 from pixsim.viewer.score import (
     FrameScore,
     ImagingChain,
+    PreparedScene,
     Score,
     Seen,
     clip_words,
@@ -60,6 +61,7 @@ from pixsim.viewer.score import (
     dark_clip,
     judged_score,
     make_imaging_chain,
+    prepare_scene,
     scored_border_um,
     white_header,
 )
@@ -73,6 +75,7 @@ if TYPE_CHECKING:
 MAX_FRAMES = 999  # the numbers in the names of their files have three digits
 MAX_REPEATS = 10_000
 BEFORE_FRAME = 0.8  # of the work of "sense and score"
+LIGHT_FILE = "light.exr"  # of light that was in memory, once it is written
 
 
 # --- what is run, before anything is rendered ----------------------------------------------------------------------------------
@@ -127,7 +130,7 @@ class RunJob(Job[Run]):
 
 
 def prepare(
-    source: str,
+    source: str | SpectralImage,
     settings: Run,
     *,
     full: bool = False,
@@ -139,7 +142,7 @@ def prepare(
 ) -> RunJob:
     """Choose what a run leaves open, and check everything that can be checked before a render.
 
-    The arguments are fields of `RunJob`. Raises PixsimError for invalid input.
+    The arguments are fields of `RunJob`; light in memory has the name `LIGHT_FILE`. Raises PixsimError for invalid input.
     """
     pitch_um, given = settings.pixel.pitch_um, Configuration.of(settings, derive(settings.pixel))
     if not 1 <= frames <= MAX_FRAMES:
@@ -151,7 +154,11 @@ def prepare(
         allowed = f"one of the two: a tolerance selects cheaper settings, {setting('full')} uses none"
         raise invalid(setting("tolerance_delta_e"), f"with {setting('full')}", allowed)
     scene: Scene | None = None
-    if is_picture(source):
+    picture: SpectralImage | None = None
+    if isinstance(source, SpectralImage):
+        picture, whole, source = source, camera_of_light(source, settings.camera, settings.lens), LIGHT_FILE
+        given = replace(given, light=picture)
+    elif is_picture(source):
         if settings.scene or sensor or variant or settings.tolerance_delta_e or settings.resolution or settings.window_mm:
             options = "-D, --sensor, --variant, --tolerance-delta-e, --resolution, --window"
             raise invalid(options, f"'{source}', a picture", "a Mitsuba scene, or none of these options")
@@ -173,7 +180,9 @@ def prepare(
     border_um = scored_border_um(derive(settings.pixel), settings.motion, settings.exposure, camera) or pitch_um
     dot_edges_um(camera.die_um, pitch_um, settings.display, border_um)
     complete = with_view(settings, view).model_copy(update={"camera": whole.options})
-    case = Case(complete, found=(picture if scene is None else scene_with_view(scene, view), camera), without=without)
+    seen = picture if scene is None else scene_with_view(scene, view)
+    assert seen is not None
+    case = Case(complete, found=(seen, camera), without=without)
     job = RunJob(
         source=source,
         asked=settings,
@@ -498,8 +507,11 @@ def light_run(prepared: RunJob, stage: Stage) -> LitRun:
     return LitRun(prepared, image, rendered, plan, tuple(notes))
 
 
-def score_run(lit: LitRun, stage: Stage) -> RunResult:
-    """Return the result of a run whose light is known."""
+def score_run(lit: LitRun, stage: Stage, prepare: Callable[..., PreparedScene] = prepare_scene) -> RunResult:
+    """Return the result of a run whose light is known.
+
+    prepare : as of `make_imaging_chain`
+    """
     prepared, image, settings, settled = lit.prepared, lit.irradiance, lit.prepared.settings, lit.prepared.cases[0].settled
     with collected_notes() as notes:
         scored = stage("sense and score")
@@ -508,7 +520,7 @@ def score_run(lit: LitRun, stage: Stage) -> RunResult:
         without = prepared.cases[0].without if lit.rendered is None else lit.rendered.without
         with watched(share_of(scored, 0.0, BEFORE_FRAME)):
             of_light: dict[str, Any] = {"judging": judging, "without": without, "motion": settings.motion}
-            chain = make_imaging_chain(image, prepared.camera, *of_sensor, **of_light)
+            chain = make_imaging_chain(image, prepared.camera, *of_sensor, **of_light, prepare=prepare)
         scored(BEFORE_FRAME)
         lacking: dict[str, str] = {}
         score = judged_score(chain, judging, ("evaluate", settings.seed), lacking)

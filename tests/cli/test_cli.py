@@ -150,7 +150,7 @@ INVALID = {
     "run csf --pixel.bits 10bit": ["got '10bit'; allowed: a valid integer. Write 10, the number alone."],
     "run csf --display.dots 5,5": ["got '5,5'; allowed: a valid integer.\n"],
     "run csf --variant cuda_spectral": ["Did you mean 'cuda_ad_spectral'?"],
-    "look": ["look", "run, plan, study, compare, accuracy, datasheet, lens, sfr"],
+    "look": ["look", "run, explore, plan, study, compare, accuracy, datasheet, lens"],
     "study nowhere": ["nowhere", "chen2000"],
     "study chen200": ["Did you mean 'chen2000'?"],
     "study sheet.toml": ["the file of a sensor", "pixsim study pixel-size --config"],

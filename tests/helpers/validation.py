@@ -9,7 +9,21 @@ from pathlib import Path
 
 TESTS = Path(__file__).resolve().parents[1]
 # Packages of pixsim, in the order of the light; what is tested as a whole stands below.
-ROOMS = ("base", "light", "optics", "sensor", "scene", "show", "viewer", "studies", "measure", "report", "verification", "cli")
+ROOMS = (
+    "base",
+    "light",
+    "optics",
+    "sensor",
+    "scene",
+    "show",
+    "viewer",
+    "studies",
+    "measure",
+    "report",
+    "explorer",
+    "verification",
+    "cli",
+)
 
 
 def test_files(room: str) -> list[Path]:

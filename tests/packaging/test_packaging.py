@@ -218,7 +218,7 @@ def test_installed_package_works_on_every_python(version: str, packages: str, sh
 
 
 # What each extra brings; that of `llvm` is tested above, and the others are for those who work on pixsim.
-EXTRAS = {"cluster": "distributed", "envi": "spectral", "flip": "flip_evaluator", "denoise": "skimage"}
+EXTRAS = {"cluster": "distributed", "envi": "spectral", "explore": "starlette", "flip": "flip_evaluator", "denoise": "skimage"}
 
 
 def test_extras_are_all_tested():

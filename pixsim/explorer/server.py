@@ -1,0 +1,152 @@
+"""The server of the page, on 127.0.0.1 only, for whoever can read a file that is private to the user.
+
+Other users see the arguments of a browser, and all ports of a machine share its cookies. So the browser opens a file of mode 0600,
+which leads to the page with a token behind "#", where no server sees it. The page takes it from its address, and sends it as the
+first message of its WebSocket. Host and Origin of every request are those of the page: no other site reaches the server.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import html
+import os
+import secrets
+import socket
+import tempfile
+import threading
+import webbrowser
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from pixsim.base.errors import PixsimError, invalid
+from pixsim.explorer.session import Asked, Session
+
+HOST = "127.0.0.1"
+FILES = {"/": ("page.html", "text/html"), "/page.js": ("page.js", "text/javascript"), "/page.css": ("page.css", "text/css")}
+HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src data:; connect-src 'self'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "Cache-Control": "no-store", "Referrer-Policy": "no-referrer", "X-Content-Type-Options": "nosniff",
+}  # fmt: skip
+MOST_BYTES = 1 << 16  # of a message
+FIRST_S, RELOAD_S = 10.0, 3.0  # for the token, and for a page that is loaded again
+REFUSED, REPLACED = 4403, 4409  # codes of a WebSocket that is closed
+REDIRECT = """<!DOCTYPE html><html lang="en"><meta charset="utf-8"><title>pixsim explore</title>
+<meta name="referrer" content="no-referrer"><meta http-equiv="refresh" content="0; url={url}"><p><a href="{url}">pixsim</a>
+"""
+
+
+class SamePage:
+    """Refuse what another host name, or the page of another origin, asks for."""
+
+    def __init__(self, app: ASGIApp, port: int) -> None:
+        self.app, self.hosts = app, [f"{name}:{port}".encode() for name in (HOST, "localhost")]
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] in ("http", "websocket"):
+            found = {name: [value for key, value in scope["headers"] if key == name] for name in (b"host", b"origin")}
+            host, origin = found[b"host"], found[b"origin"]
+            asks = bool(origin) or scope["type"] == "websocket"  # a page that is opened states no origin
+            if len(host) != 1 or host[0] not in self.hosts or (asks and origin != [b"http://" + host[0]]):
+                if scope["type"] == "http":
+                    return await Response("another host or origin", 403)(scope, receive, send)
+                return await send({"type": "websocket.close", "code": REFUSED})  # before it is accepted: 403
+        await self.app(scope, receive, send)
+
+
+class Pages:
+    """The one page that is open, and what is sent to it."""
+
+    def __init__(self, session: Session, token: str) -> None:
+        self.session, self.token = session, token
+        self.loop: asyncio.AbstractEventLoop | None = None
+        self.open: WebSocket | None = None
+        session.send = self.send
+
+    def send(self, message: dict[str, Any]) -> None:
+        """Send a message to the page, from any thread; if none is open, nobody needs it."""
+        if self.loop is not None and self.open is not None:
+            with suppress(Exception):  # whatever a page that is just closed raises
+                asyncio.run_coroutine_threadsafe(self.open.send_json(message), self.loop).result(FIRST_S)
+
+    async def file(self, request: Request) -> Response:
+        name, kind = FILES[request.url.path]
+        return Response((resources.files("pixsim") / "data/explorer" / name).read_bytes(), media_type=kind, headers=HEADERS)
+
+    async def socket(self, page: WebSocket) -> None:
+        self.loop = asyncio.get_running_loop()
+        await page.accept()
+        try:
+            first = await asyncio.wait_for(page.receive_json(), FIRST_S)
+            given = first.get("token") if isinstance(first, dict) else None
+            if not (isinstance(given, str) and secrets.compare_digest(given.encode(), self.token.encode())):
+                await page.close(REFUSED)
+                return
+            if self.open is not None:
+                with suppress(Exception):  # it may be gone already
+                    await self.open.close(REPLACED)
+            self.open = page
+            await page.send_json(self.session.hello())
+            while True:
+                try:
+                    self.session.ask(Asked.of(await page.receive_json()))
+                except PixsimError as error:
+                    await page.send_json({"error": str(error)})
+        except (WebSocketDisconnect, TimeoutError, KeyError, ValueError, RecursionError):
+            pass  # the page is closed, or sent no token, no text, no JSON
+        finally:
+            if self.open is page:
+                self.open = None
+                self.loop.call_later(RELOAD_S, self.end_if_closed)
+
+    def end_if_closed(self) -> None:
+        if self.open is None:
+            self.session.end()
+
+
+@contextmanager
+def served(session: Session) -> Iterator[Path]:
+    """Serve the page of a session within the block, and give the private file that leads to it."""
+    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    listening.bind((HOST, 0))
+    port, token = listening.getsockname()[1], secrets.token_urlsafe(32)
+    pages = Pages(session, token)
+    routes = [*(Route(path, pages.file) for path in FILES), WebSocketRoute("/socket", pages.socket)]
+    app = SamePage(Starlette(routes=routes), port)
+    own = {"log_level": "critical", "access_log": False, "server_header": False, "ws_max_size": MOST_BYTES, "lifespan": "off"}
+    server = uvicorn.Server(uvicorn.Config(app, ws="websockets-sansio", timeout_graceful_shutdown=1, **own))  # type: ignore[arg-type]
+    thread = threading.Thread(target=server.run, args=([listening],), name="pixsim explore", daemon=True)
+    number, name = tempfile.mkstemp(".html", "pixsim-explore-")  # of mode 0600
+    try:
+        with os.fdopen(number, "w", encoding="utf-8") as file:
+            file.write(REDIRECT.format(url=html.escape(f"http://{HOST}:{port}/#{token}")))
+        thread.start()
+        yield Path(name)
+    finally:
+        server.should_exit = True
+        if thread.is_alive():
+            thread.join(FIRST_S)
+        listening.close()
+        Path(name).unlink(missing_ok=True)
+
+
+def explore_until_closed(session: Session, told: Callable[[Path], object] | None = None) -> None:
+    """Open the page of a session by the browser, or by what is `told` its file, and compute what it asks for until it is closed."""
+    with served(session) as file:
+        if told is not None:
+            told(file)
+        elif not webbrowser.open(file.as_uri()):
+            hint = "--no-browser (opened=print in Python) names the file that leads to the page, for any browser."
+            raise invalid("browser", "none that can be opened", "a browser", hint)
+        session.serve()

@@ -1,0 +1,281 @@
+"""What is computed for the page: only for its last settings, first the picture, then its errors, then a curve over pixel sizes."""
+
+from __future__ import annotations
+
+import base64
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.headline import NOT_CONVERGED
+from pixsim.base.notes import collected_notes
+from pixsim.base.progress import Progress
+from pixsim.base.records import content_hash
+from pixsim.base.toml import SETTINGS_FILE, packaged
+from pixsim.explorer.controls import LENS, NO_LENS, PITCH, Preset, command_words, controls_of, presets_of, with_values
+from pixsim.light.spectral import SpectralImage
+from pixsim.report.run import run_document, run_settings_text
+from pixsim.show.pictures import delta_e_colours, display_codes, png_bytes, scale_end
+from pixsim.show.render import text
+from pixsim.studies.run import LIGHT_FILE, LitRun, RunJob, RunResult, light_run, prepare, score_run
+from pixsim.viewer.kept_scenes import KeptScenes
+from pixsim.viewer.metric_registry import METRICS
+from pixsim.viewer.metrics import DELTA_E
+from pixsim.viewer.settings_file import run_settings
+
+MOST_LIGHTS, MOST_SENSORS = 3, 2  # in memory; side by side
+REPEATS = 4  # sensors of each kind, for the 95 % interval of their mean
+CURVE_STEPS, A_DECADE = 4, 12  # sizes on each side of the pixel's, and how many there are from one to ten times it
+TELL_S = 0.2  # between two words on what is being done
+LINE = 10_000  # columns: the page breaks lines itself
+LIGHT = {"scene", "lens", "window_mm", "seed", "resolution", "tolerance_e"}  # what it depends on, beside camera and accuracy
+
+
+class SupersededError(BaseException):
+    """Other settings came, or the page was closed: what is being computed is no longer asked for."""
+
+
+class Asked(NamedTuple):
+    """What a page asks for: a preset and values of controls for each sensor, metrics beside ΔE, and perhaps a curve."""
+
+    number: int
+    sensors: tuple[tuple[int, Mapping[str, Any]], ...]
+    metrics: tuple[str, ...] = ()
+    curve: bool = False
+
+    @classmethod
+    def of(cls, message: Any) -> Asked:
+        """Return a request from JSON. Raises PixsimError for another message."""
+        try:
+            sensors = tuple((int(each["preset"]), dict(each["set"])) for each in message["sensors"])
+            found = cls(int(message["number"]), sensors, tuple(message["metrics"]), bool(message["curve"]))
+            if 1 <= len(sensors) <= MOST_SENSORS and all(name in METRICS for name in found.metrics):
+                return found
+        except (KeyError, TypeError, ValueError):
+            pass  # no request
+        raise invalid("page", "a message that is no request", "what the page of this version of pixsim sends")
+
+
+@dataclass
+class Session:
+    """What one page computes, in the thread of `serve`; `ask` and `end` may be called from any thread.
+
+    source : scene, or picture of another program; or light in memory
+    config, tables : settings files and options of the user
+    given : further arguments of `prepare`
+    send : takes each message for the page
+    """
+
+    source: str | SpectralImage
+    config: Sequence[Path] = ()
+    tables: Mapping[str, Any] = field(default_factory=dict)
+    given: Mapping[str, Any] = field(default_factory=dict)
+    send: Callable[[dict[str, Any]], None] = lambda message: None
+
+    def __post_init__(self) -> None:
+        self._wake, self._ended, self._told_s = threading.Event(), False, 0.0
+        self._asked: Asked | None = None
+        self._lights: dict[str, LitRun] = {}  # the last one last
+        self._scenes, self._points = KeptScenes(), dict[str, list[float]]()
+        self.presets, self.controls = presets_of(self.config, self.tables), controls_of((), ())
+        first = self._job(Asked(0, ((0, {}),)), 0)  # bad input is refused before a page opens
+        self.title = first.source if isinstance(self.source, str) else "light in memory"
+        if first.cases[0].picture is None:
+            scene = first.cases[0].scene
+            lenses = dict.fromkeys([first.asked.lens.file or NO_LENS, *packaged("data/lenses")])
+            self.controls = controls_of({*scene.names, *scene.text().defaults}, tuple(lenses))
+
+    def hello(self) -> dict[str, Any]:
+        """Return what a page is made of."""
+        presets = [{"group": preset.group, "name": preset.name} for preset in self.presets]
+        others = {name: f"{metric.words} ({metric.judges})" for name, metric in METRICS.items() if metric is not DELTA_E}
+        controls = [asdict(control) | {"of_all": control.of_all} for control in self.controls]
+        return {"hello": {"title": self.title, "presets": presets, "metrics": others, "controls": controls, "sensors": REPEATS}}
+
+    def ask(self, asked: Asked) -> None:
+        """Drop what is asked for now, and compute this."""
+        self._asked = asked
+        self._wake.set()
+
+    def end(self) -> None:
+        """End `serve`."""
+        self._ended = True
+        self._wake.set()
+
+    def serve(self) -> None:
+        """Compute what is asked for until `end` is called."""
+        answered = None
+        while not self._ended:
+            self._wake.wait(0.5)  # not for ever at once: some systems would then take no Ctrl-C
+            self._wake.clear()
+            if (asked := self._asked) is None or asked is answered:
+                continue
+            answered = asked
+            try:
+                with warnings.catch_warnings():
+                    warnings.showwarning = lambda *_, **__: None  # the page has them as notes
+                    self.answer(asked)
+            except SupersededError:
+                pass  # what came is next
+            except (PixsimError, MemoryError) as error:
+                words = str(error) or "out of memory: take larger pixels, or a smaller part of the die"
+                self.send({"number": asked.number, "error": words})
+
+    def answer(self, asked: Asked) -> None:
+        """Send the pictures of a request as soon as they are known, then with their errors, then curves."""
+        jobs, found = [], []
+        for number in range(len(asked.sensors)):
+            with collected_notes(alone=True):
+                jobs.append(self._job(asked, number))
+                kept = self._kept(jobs[-1])
+                first = None if kept is None else score_run(kept, self._stage(asked), self._scenes)
+            found.append(first)
+            if first is not None:
+                self.send(self._message(asked, number, first, sure=False))
+        lights = []
+        for number, (job, first) in enumerate(zip(jobs, found, strict=True)):
+            with collected_notes(alone=True):
+                lights.append(self._keep(light_run(job, self._stage(asked))))
+                result = score_run(lights[-1], self._stage(asked), self._scenes)
+                known = first is not None and np.array_equal(first.score.image, result.score.image)
+                self.send(self._message(asked, number, result, sure=True, known=known))
+        for number, lit in enumerate(lights if asked.curve else []):
+            for point in self._curve(asked, number, lit):
+                self.send({"number": asked.number, "sensor": number, "point": point})
+        self.send({"number": asked.number, "done": True})
+
+    def _settings(self, asked: Asked, number: int) -> tuple[Preset, dict[str, Any]]:
+        """Return the preset of a sensor, and its options. Raises PixsimError for what this page does not have."""
+        place, values = asked.sensors[number]
+        controls = {control.path: control for control in self.controls}
+        if unknown := [path for path in values if path not in controls]:
+            raise invalid("page", f"'{unknown[0]}'"[:80], "a control of this page")
+        if not 0 <= place < len(self.presets):
+            raise invalid("page", f"preset {place}", "a preset of this page")
+        shared = {path: value for path, value in asked.sensors[0][1].items() if path in controls and controls[path].of_all}
+        own = {path: value for path, value in values.items() if not controls[path].of_all}
+        tables = with_values(
+            self.presets[place].tables, {path: controls[path].value(value) for path, value in (shared | own).items()}
+        )
+        return self.presets[place], tables | ({"metrics": (DELTA_E.name, *asked.metrics)} if asked.metrics else {})
+
+    def _job(self, asked: Asked, number: int) -> RunJob:
+        """Return the prepared run of a sensor."""
+        preset, tables = self._settings(asked, number)
+        source = self.source
+        if isinstance(source, SpectralImage):  # a run writes the white into the header of its light
+            source = copy(source)
+            source.header = dict(source.header)
+        return prepare(source, run_settings(preset.config, tables), repeats=REPEATS, **self.given)
+
+    def _stage(self, asked: Asked) -> Callable[[str], Progress]:
+        """Return stages that tell the page what is done, and end when other settings come."""
+
+        def stage(name: str) -> Progress:
+            def progress(done: float = 0.0, note: str = "") -> None:
+                if self._asked not in (None, asked) or self._ended:
+                    raise SupersededError
+                if time.monotonic() - self._told_s > TELL_S:
+                    self._told_s = time.monotonic()
+                    self.send({"number": asked.number, "busy": f"{name}: {100 * done:.0f} %{note}"})
+
+            progress()
+            return progress
+
+        return stage
+
+    def _light_key(self, job: RunJob) -> str:
+        """Return what light must have in common to serve for a first picture: all but the accuracy that each pixel asks for."""
+        bands = [] if job.cases[0].picture else job.demand.plan.bands.edges_nm.tolist()
+        return content_hash([job.settings.model_dump(mode="json", include=LIGHT), job.camera.model_dump(mode="json"), bands])
+
+    def _kept(self, job: RunJob) -> LitRun | None:
+        """Return a run for the first picture, by ΔE alone, in light that is known or comes at once; None if it must be rendered."""
+        case, key = job.cases[0], self._light_key(job)
+        if case.picture is not None and key not in self._lights:
+            self._keep(LitRun(job, case.picture))
+        elif key not in self._lights and job.demand.plan.exact:
+            self._keep(LitRun(job, job.demand.render(job.demand.first, job.demand.plan)[0], None, job.demand.plan))
+        if key not in self._lights:
+            return None
+        settings = case.settings.model_copy(update={"metrics": (DELTA_E.name,)})
+        first = replace(job, cases=(replace(case, settings=settings),), repeats=1)
+        return LitRun(first, self._lights[key].irradiance, None, self._lights[key].plan)
+
+    def _keep(self, lit: LitRun) -> LitRun:
+        """Keep the light of a run; if it is the same as one that is kept, return the run in that one."""
+        key = self._light_key(lit.prepared)
+        old = self._lights.pop(key).irradiance if key in self._lights else None
+        if old is not None and old.shape == lit.irradiance.shape and _bare(old.header) == _bare(lit.irradiance.header):
+            old.header = lit.irradiance.header  # with the white
+            lit = replace(lit, irradiance=old)
+        while len(self._lights) >= MOST_LIGHTS:
+            del self._lights[next(iter(self._lights))]
+        self._lights[key] = lit
+        self._scenes.drop_all_but([each.irradiance for each in self._lights.values()])
+        return lit
+
+    def _message(self, asked: Asked, number: int, result: RunResult, *, sure: bool, known: bool = False) -> dict[str, Any]:
+        """Return what the page shows of a sensor: whether its errors are `sure`; no pictures if these are `known`."""
+        score, job = result.score, result.prepared
+        found: dict[str, Any] = {"number": asked.number, "sensor": number, "sure": sure, "values": self._values(result)}
+        if not known:
+            end = scale_end(result.statistics[0]["p99_delta_e"])
+            codes = {"ideal": display_codes(score.ideal), "image": display_codes(score.image)}
+            codes["delta_e"] = delta_e_colours(score.delta_e, end)
+            uris = {name: "data:image/png;base64," + base64.b64encode(png_bytes(each)).decode() for name, each in codes.items()}
+            found |= {"pictures": uris, "end": end, "dots": score.image.shape[:2]}
+        if not sure:
+            words = f"mean ΔE {result.mean_delta_e:.3f} of one sensor, with errors that are being measured"
+            return found | {"lines": [words], "unsure": "errors not measured yet"}
+        preset, tables = self._settings(asked, number)
+        flags = [word for name in ("sensor", "variant", "units") if (value := getattr(job, name)) for word in (f"--{name}", value)]
+        own = (job.source, preset.config, tables) if isinstance(self.source, str) else (LIGHT_FILE, (Path(SETTINGS_FILE),), {})
+        is_sure = result.light.converged and (result.budget is None or result.budget["met"])
+        found |= {"lines": text(run_document(result), LINE).splitlines(), "unsure": "" if is_sure else NOT_CONVERGED}
+        return found | {"command": command_words(*own, REPEATS, flags), "settings": run_settings_text(job, result.irradiance)}
+
+    def _values(self, result: RunResult) -> dict[str, object]:
+        """Return the values of the controls in effect, by their paths, as they are shown."""
+        settings, shown = result.settings, {}
+        for control in self.controls:
+            table, _, name = control.path.partition(".")
+            places: list[object] = [getattr(settings, table), result.camera, result.score.physics, result.score.frame]
+            value = next((each for place in places if (each := getattr(place, name, None)) is not None), None)
+            if table == "scene":
+                given = settings.scene.get(name, result.prepared.cases[0].scene.text().defaults.get(name))
+                value = result.plan.white_cd_per_m2 if given is None and result.plan else given
+            shown[control.path] = settings.lens.file or NO_LENS if control.path == LENS else control.shown(value)
+        return shown
+
+    def _curve(self, asked: Asked, number: int, lit: LitRun) -> Iterator[list[float]]:
+        """Yield pixel size, mean ΔE and half of its 95 % interval for sizes around the pixel's, the nearest first, in one light."""
+        middle = round(A_DECADE * np.log10(lit.prepared.settings.pixel.pitch_um))
+        for step in sorted(range(-CURVE_STEPS, CURVE_STEPS + 1), key=abs):
+            pitch_um, sensors = float(f"{10 ** ((middle + step) / A_DECADE):.3g}"), list(asked.sensors)
+            sensors[number] = sensors[number][0], {**sensors[number][1], PITCH: pitch_um}
+            try:
+                with collected_notes(alone=True):
+                    job = self._job(asked._replace(sensors=tuple(sensors), metrics=()), number)
+                    key = content_hash([job.settings.model_dump(mode="json"), lit.irradiance.header])
+                    if key not in self._points:
+                        result = score_run(LitRun(job, lit.irradiance, None, lit.plan), self._stage(asked), self._scenes)
+                        low, high = result.interval_delta_e or (0.0, 0.0)
+                        self._points[key] = [pitch_um, result.mean_delta_e, (high - low) / 2]
+            except PixsimError:
+                continue  # there are no such pixels: the curve ends here
+            yield self._points[key]
+
+
+def _bare(header: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a header without the white that was estimated for a pixel."""
+    estimated = ("luminance_cd_per_m2", "white_from") if "white_from" in header else ()
+    return {name: value for name, value in header.items() if name not in estimated}

@@ -1,0 +1,191 @@
+"""The page is for this user alone, and for no other site."""
+
+import contextlib
+import http.client
+import json
+import os
+import re
+import signal
+import socket
+import stat
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from helpers.commands import COMMAND, command
+from helpers.processes import HANG_S
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
+from pixsim.explorer import exploring, server
+from pixsim.explorer.session import Session
+
+SMALL = {"resolution": 64, "display": {"dots": 32}, "pixel": {"pitch_um": 42.4}}
+OPTIONS = "--resolution 64 --display.dots 32 --pixel.pitch-um 42.4 --no-browser"
+
+
+def address_in(file: Path) -> tuple[int, str]:
+    """The port and the token of the file that leads to a page."""
+    (found,) = set(re.findall(r"http://127\.0\.0\.1:(\d+)/#([\w-]+)", file.read_text()))
+    return int(found[0]), found[1]
+
+
+@contextlib.contextmanager
+def page_of(session: Session) -> Iterator[Any]:
+    """A session that is served, and computed in a thread."""
+    with server.served(session) as file:
+        port, token = address_in(file)
+        thread = threading.Thread(target=session.serve)
+        thread.start()
+        deadline = time.monotonic() + HANG_S
+        while time.monotonic() < deadline:
+            with contextlib.suppress(ConnectionRefusedError):
+                connect_to(port, "127.0.0.1").close()
+                break
+        yield SimpleNamespace(file=file, port=port, token=token, thread=thread)
+        session.end()
+        thread.join(HANG_S)
+
+
+def connect_to(port: int, host: str) -> http.client.HTTPConnection:
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=HANG_S)
+    connection.request("GET", "/", headers={"Host": f"{host}:{port}"})
+    return connection
+
+
+def socket_of(port: int, origin: str | None, host: str | None = None) -> Any:
+    """A WebSocket as a page of an origin opens it, by a name of this machine."""
+    own = socket.create_connection(("127.0.0.1", port))
+    return connect(f"ws://{host or '127.0.0.1'}:{port}/socket", sock=own, origin=origin, open_timeout=HANG_S)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def page() -> Iterator[Any]:
+    with page_of(Session("csf", (), SMALL)) as found:
+        yield found
+
+
+def test_file_that_leads_to_the_page_is_private(page):
+    assert stat.S_IMODE(page.file.stat().st_mode) == 0o600
+    assert len(page.token) >= 32
+
+
+@pytest.mark.parametrize(("host", "status"), [("127.0.0.1", 200), ("localhost", 200), ("pixsim.example", 403)])
+def test_page_is_served_under_its_own_names_only(host, status, page):
+    """Another name that leads to 127.0.0.1 is how a foreign site would read the page."""
+    answer = connect_to(page.port, host).getresponse()
+    assert answer.status == status
+    if status == 200:
+        assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
+        assert answer.headers["Set-Cookie"] is None
+        assert page.token not in answer.read().decode()
+
+
+def test_nothing_but_the_page_is_served(page):
+    for path in ("/../pyproject.toml", "/etc/passwd", "/settings.toml"):
+        connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=HANG_S)
+        connection.request("GET", path)
+        assert connection.getresponse().status == 404
+
+
+@pytest.mark.parametrize("origin", ["http://pixsim.example", "null", None, "http://127.0.0.1:1"])
+def test_foreign_origin_is_refused(origin, page):
+    with pytest.raises(InvalidStatus) as refused:
+        socket_of(page.port, origin)
+    assert refused.value.response.status_code == 403
+
+
+def test_foreign_host_is_refused(page):
+    with pytest.raises(InvalidStatus) as refused:
+        socket_of(page.port, f"http://pixsim.example:{page.port}", "pixsim.example")
+    assert refused.value.response.status_code == 403
+
+
+@pytest.mark.parametrize("first", ['{"token": "wrong"}', '{"token": ""}', "[]", "no JSON", '{"number": 1, "sensors": []}'])
+def test_wrong_token_is_refused(first, page):
+    with socket_of(page.port, f"http://127.0.0.1:{page.port}") as opened:
+        opened.send(first)
+        with pytest.raises(ConnectionClosed):
+            opened.recv(timeout=HANG_S)
+
+
+def test_token_opens_the_page_and_a_bad_request_does_not_close_it(page):
+    with socket_of(page.port, f"http://127.0.0.1:{page.port}") as opened:
+        opened.send(json.dumps({"token": page.token}))
+        assert json.loads(opened.recv(timeout=HANG_S))["hello"]["title"] == "csf"
+        opened.send('{"number": 1}')
+        assert "no request" in json.loads(opened.recv(timeout=HANG_S))["error"]
+        opened.send(json.dumps({"number": 2, "sensors": [{"preset": 0, "set": {}}], "metrics": [], "curve": False}))
+        found: list[dict[str, Any]] = []
+        while not (found and found[-1].get("done")):
+            found.append(json.loads(opened.recv(timeout=HANG_S)))
+        assert [message["sure"] for message in found if "sure" in message] == [False, True]
+
+
+def test_closed_page_ends_the_session(monkeypatch):
+    monkeypatch.setattr(server, "RELOAD_S", 0.05)
+    with page_of(Session("csf", (), SMALL)) as page:
+        with socket_of(page.port, f"http://127.0.0.1:{page.port}") as opened:
+            opened.send(json.dumps({"token": page.token}))
+            opened.recv(timeout=HANG_S)
+            assert page.thread.is_alive()
+        page.thread.join(HANG_S)
+        assert not page.thread.is_alive()
+    assert not page.file.exists()
+
+
+# --- the command ------------------------------------------------------------------------------------------------------------------
+
+
+def test_command_prints_the_file_and_ends_by_an_interruption():
+    running = subprocess.Popen(
+        [COMMAND, "explore", "csf", *OPTIONS.split()], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    file = Path(running.stdout.readline().strip().removeprefix("page: "))
+    port, token = address_in(file)
+    with subprocess.Popen(["ps", "-eo", "args"], stdout=subprocess.PIPE, text=True) as listed:
+        assert token not in listed.communicate()[0]
+    assert port > 0
+    running.send_signal(signal.SIGINT)
+    _, err = running.communicate(timeout=HANG_S)
+    assert (running.returncode, err) == (130, "pixsim: interrupted\n")
+    assert not file.exists()
+
+
+def test_browser_gets_the_file_and_no_token(tmp_path):
+    """All users of a machine see the arguments of a process."""
+    script = tmp_path / "browser"
+    script.write_text(f"#!{sys.executable}\nimport sys\nprint(*sys.argv[1:], file=open('{tmp_path}/told', 'w'))\n")
+    script.chmod(0o755)
+    options = OPTIONS.replace("--no-browser", "").split()
+    environment = os.environ | {"BROWSER": f"{script} %s"}
+    running = subprocess.Popen([COMMAND, "explore", "csf", *options], env=environment, stderr=subprocess.DEVNULL)
+    try:
+        deadline = time.monotonic() + HANG_S
+        while not ((told := tmp_path / "told").exists() and told.read_text().endswith("\n")) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        file = Path(told.read_text().strip().removeprefix("file://"))
+        _, token = address_in(file)
+        assert token not in told.read_text()
+    finally:
+        running.send_signal(signal.SIGINT)
+        running.wait(HANG_S)
+
+
+def test_command_says_what_to_install(monkeypatch):
+    monkeypatch.setattr(exploring, "find_spec", lambda name: None)
+    code, out, err = command("explore csf")
+    assert (code, out) == (2, "")
+    assert "pip install 'pixsim[explore]'" in err
+
+
+def test_bad_settings_are_refused_before_a_page_opens():
+    code, out, err = command("explore csf --no-browser --pixel.pitch-um 1")
+    assert (code, out) == (2, "")
+    assert "pixel.pitch_um" in err

@@ -1,0 +1,222 @@
+"""What the page computes: the same as `pixsim run`, for the last settings only."""
+
+import base64
+import io
+import shlex
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.commands import command
+from numpy.typing import NDArray
+from PIL import Image
+
+import pixsim
+from pixsim.base.errors import PixsimError
+from pixsim.explorer.controls import Control, controls_of, presets_of
+from pixsim.explorer.session import MOST_LIGHTS, Asked, Session
+from pixsim.show.pictures import display_codes
+from pixsim.studies.run import run
+from pixsim.viewer.setting import Run
+
+SMALL = {"resolution": 64, "display": {"dots": 32}, "pixel": {"pitch_um": 42.4}}  # two pixels a dot; its film is measured
+TURNED = {"pixel.pitch_um": 40.0, "camera.f_number": 5.6, "exposure.gain_db": 6.1, "scene.luminance_cd_per_m2": 300.0}
+
+
+def answers(session: Session, asked: Asked) -> list[dict[str, Any]]:
+    """What is sent for a request."""
+    sent: list[dict[str, Any]] = []
+    session.send = sent.append
+    session.answer(asked)
+    return sent
+
+
+def pixels(uri: str) -> NDArray[Any]:
+    return np.asarray(Image.open(io.BytesIO(base64.b64decode(uri.partition(",")[2]))))
+
+
+def grey(path: Path) -> NDArray[Any]:
+    """The codes of a grey picture of a run, which are the same in its three channels."""
+    return np.asarray(Image.open(path).convert("RGB"))[:, :, 0]
+
+
+@pytest.fixture(scope="module")
+def answered() -> tuple[Session, list[dict[str, Any]]]:
+    session = Session("csf", (), SMALL)
+    return session, answers(session, Asked(1, ((0, TURNED),)))
+
+
+def test_first_picture_is_the_last_where_the_film_is_fine_enough(answered):
+    first, last, done = (message for message in answered[1] if "busy" not in message)
+    assert (first["sure"], last["sure"], done) == (False, True, {"number": 1, "done": True})
+    assert "pictures" in first
+    assert "pictures" not in last, "it was computed again, and is the same"
+    assert first["unsure"] == "errors not measured yet"
+    assert "± " in last["lines"][0]
+
+
+@pytest.mark.parametrize("way", ["command", "settings.toml", "Python"])
+def test_ways_out_repeat_the_picture_bit_for_bit(way, answered, tmp_path):
+    sent = answered[1]
+    shown = next(message for message in sent if "pictures" in message)["pictures"]
+    last = next(message for message in sent if message.get("sure"))
+    if way == "Python":
+        values = {name: {} for name in ("camera", "exposure")}
+        own = {**SMALL, "pixel": {"pitch_um": 40.0}, "camera": {"f_number": 5.6}, "exposure": {"gain_db": 6.1}}
+        result = run("csf", parameters={"luminance_cd_per_m2": 300.0}, repeats=4, **values | own)
+        ideal, image = (display_codes(each) for each in (result.score.ideal, result.score.image))
+    else:
+        (tmp_path / "settings.toml").write_text(last["settings"])
+        words = shlex.split(last["command"])[1:] if way == "command" else ["run", "csf", "--config", tmp_path / "settings.toml"]
+        code, _, err = command("", *words, "--irradiance", "none", "--out", tmp_path / "out")
+        assert code == 0, err
+        ideal, image = (grey(tmp_path / f"out/{name}.png") for name in ("ideal", "image"))
+    np.testing.assert_array_equal(pixels(shown["image"]), image)
+    np.testing.assert_array_equal(pixels(shown["ideal"]), ideal)
+    assert np.ptp(image) > 50, "the chart is seen"
+
+
+def test_light_and_ideal_that_are_kept_change_no_bit(answered):
+    """Whatever was computed before: other pixels, other light, two sensors, a metric."""
+    session, sent = answered
+    fresh = next(message for message in sent if "pictures" in message)["pictures"]
+    for values in ({"pixel.pitch_um": 50.0}, {**TURNED, "camera.f_number": 2.8}, {**TURNED, "exposure.gain_db": 0.0}):
+        answers(session, Asked(2, ((0, values), (0, {"pixel.read_noise_e": 30.0})), ("acutance",)))
+        assert len(session._lights) <= MOST_LIGHTS
+    again = next(message for message in answers(session, Asked(3, ((0, TURNED),))) if "pictures" in message)["pictures"]
+    assert again == fresh
+
+
+def test_two_sensors_share_scene_camera_and_display():
+    session = Session("csf", (), SMALL)
+    both = ({"camera.f_number": 8.0, "pixel.pitch_um": 50.0}, {"camera.f_number": 2.0})
+    last = [message for message in answers(session, Asked(1, tuple((0, each) for each in both))) if message.get("sure")]
+    assert [message["values"]["camera.f_number"] for message in last] == [8.0, 8.0]
+    assert [message["values"]["pixel.pitch_um"] for message in last] == [50.0, 42.4]
+    assert [message["sensor"] for message in last] == [0, 1]
+
+
+def test_only_the_last_settings_count():
+    """Other settings come while the first ones are computed: nothing more is said of these, and the curve of them ends."""
+    session, sent = Session("csf", (), SMALL), list[dict[str, Any]]()
+
+    def send(message: dict[str, Any]) -> None:
+        sent.append(message)
+        if message["number"] == 1 and "point" in message:
+            session.ask(Asked(2, ((0, {"pixel.pitch_um": 60.0}),)))
+            session.ask(Asked(3, ((0, {"pixel.pitch_um": 50.0}),)))
+        if message.get("done"):
+            session.end()
+
+    session.send = send
+    session.ask(Asked(1, ((0, {}),), (), True))
+    thread = threading.Thread(target=session.serve)
+    thread.start()
+    thread.join(120)
+    assert not thread.is_alive()
+    assert [message["number"] for message in sent if message.get("done")] == [3]
+    assert {message["number"] for message in sent} == {1, 3}
+    assert len([message for message in sent if "point" in message]) == 1
+    numbers = [message["number"] for message in sent]
+    assert numbers == sorted(numbers)
+
+
+def test_curve_has_the_intervals_of_runs_and_ends_where_pixels_are_impossible():
+    session = Session("csf", (), {**SMALL, "pixel": {"pitch_um": 6.0}, "camera": {"die_mm": 0.5}})
+    points = [message["point"] for message in answers(session, Asked(1, ((0, {}),), (), True)) if "point" in message]
+    assert [point[0] for point in points][:2] == [5.62, 6.81], "the nearest first"
+    assert min(point[0] for point in points) > 5.135, "below, the transistors fill the pixel"
+    size, mean, half = points[0]
+    result = run("csf", repeats=4, **{**SMALL, "pixel": {"pitch_um": size}, "camera": {"die_mm": 0.5}})
+    low, high = result.interval_delta_e
+    assert (mean, half) == pytest.approx((result.mean_delta_e, (high - low) / 2), rel=1e-12)
+
+
+def test_what_has_not_converged_stands_in_the_picture():
+    session = Session("csf", (), {**SMALL, "resolution": 32})
+    last = [message for message in answers(session, Asked(1, ((0, {}),))) if message.get("sure")]
+    assert [message["unsure"] for message in last] == ["not converged"]
+    assert "not converged" in last[0]["lines"][0]
+
+
+def test_light_in_memory_stays_as_it_is_and_repeats_from_its_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    light = pixsim.render(pixsim.load_scene("csf", resolution=64), pixsim.Camera())
+    header = dict(light.header)
+    session = Session(light, (), {"pixel": {"pitch_um": 42.4}, "display": {"dots": 32}})
+    assert not {"lens.file", "scene.luminance_cd_per_m2"} & {control.path for control in session.controls}
+    sent = answers(session, Asked(1, ((0, {"exposure.gain_db": 3.0}),)))
+    assert light.header == header
+    last = next(message for message in sent if message.get("sure"))
+    pixsim.write_exr("light.exr", light)
+    Path("settings.toml").write_text(last["settings"])
+    code, _, err = command("", *shlex.split(last["command"])[1:], "--out", "out")
+    assert code == 0, err
+    shown = next(message for message in sent if "pictures" in message)["pictures"]["image"]
+    np.testing.assert_array_equal(pixels(shown), grey(tmp_path / "out/image.png"))
+
+
+# --- controls ---------------------------------------------------------------------------------------------------------------------
+
+
+def test_controls_have_what_their_fields_declare():
+    found = {control.path: control for control in controls_of((), ())}
+    declared = Run.model_json_schema()["$defs"]["Exposure"]["properties"]["gain_db"]
+    gain = found["exposure.gain_db"]
+    assert (gain.least, gain.most, gain.unit, gain.help) == (0, declared["maximum"], "dB", declared["description"])
+    assert found["pixel.pitch_um"].unit == "µm"
+    assert all(control.help for control in found.values())
+
+
+def test_controls_of_a_scene_follow_its_parameters():
+    assert "scene.lux" in {control.path for control in Session("still_life", (), SMALL).controls}
+    assert "scene.luminance_cd_per_m2" in {control.path for control in Session("flat", (), SMALL).controls}
+
+
+def test_pair_of_numbers_is_turned_by_its_first():
+    control = Control("motion.image_um_per_s", "motion", pair=True)
+    assert control.value(3) == [3.0, 0.0]
+    assert control.shown((3.0, 0.0)) == 3.0
+
+
+@pytest.mark.parametrize(
+    ("values", "word"),
+    [
+        ({"pixel.technology": "/etc/passwd"}, "a control of this page"),
+        ({"pixel.quantum_efficiency": "/etc/passwd"}, "a control of this page"),
+        ({"lens.file": "/etc/passwd"}, "thin lens, cooke_triplet"),
+        ({"pixel.pitch_um": "/etc/passwd"}, "a number"),
+        ({"pixel.pitch_um": True}, "a number"),
+        ({"pixel.pitch_um": -1}, "pixel.pitch_um"),
+    ],
+)
+def test_page_names_no_files_and_no_impossible_values(values, word):
+    with pytest.raises(PixsimError, match=word):
+        Session("csf", (), SMALL).answer(Asked(1, ((0, values),)))
+
+
+@pytest.mark.parametrize("message", [None, 3, {}, {"number": 1, "sensors": [], "metrics": [], "curve": False}])
+def test_message_that_is_no_request_is_refused(message):
+    with pytest.raises(PixsimError, match="no request"):
+        Asked.of(message)
+
+
+def test_presets_are_the_users_files_technologies_and_cameras(tmp_path):
+    files = [tmp_path / "one.toml", tmp_path / "two.toml"]
+    presets = presets_of(files, {"pixel": {"bits": 12}, "display": {"dots": 64}})
+    assert presets[0].config == tuple(files)
+    assert [preset.name for preset in presets if preset.group == "files"] == ["one.toml", "two.toml"]
+    (bsi,) = [preset for preset in presets if preset.name == "4t-bsi"]
+    assert (bsi.config, bsi.tables) == ((), {"pixel": {"technology": "4t-bsi"}, "display": {"dots": 64}})
+    assert "Nikon D5100" in [preset.name for preset in presets]
+
+
+@pytest.mark.parametrize("name", ["4t-bsi", "Nikon D5100"])
+def test_preset_is_evaluated(name):
+    session = Session("csf", (), SMALL)
+    place = [preset.name for preset in session.presets].index(name)
+    last = [message for message in answers(session, Asked(1, ((place, {"pixel.pitch_um": 42.4}),))) if message.get("sure")]
+    assert len(last) == 1
+    assert name.replace(" ", "_") in last[0]["command"]
