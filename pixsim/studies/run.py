@@ -170,7 +170,9 @@ def prepare(
             raise invalid(setting("units"), f"'{source}', a scene", allowed)
         scene = loaded_scene(source, settings.scene, settings.resolution, variant=variant, sensor=sensor)
         whole = scene.camera(settings.camera, settings.lens)
-    without = check_metrics(settings, [settings.pixel], picture if scene is None else scene, units=units)
+    seen = scene or picture
+    assert seen is not None
+    without = check_metrics(settings, [settings.pixel], seen, units=units)
     start_of(settings, scene)
     warn_of_unused_settings({"": [given]})
     camera = whole.window(settings.window_mm)
