@@ -42,7 +42,7 @@ class Exposure(Record):
     shutter: Literal["global", "rolling"] = Field(
         "global", description="whether all rows are exposed together, or each begins line_time_us after the one above it"
     )
-    line_time_us: Annotated[float, Field(gt=0, le=1e9)] | None = Field(
+    line_time_us: Annotated[float, Field(ge=1e-6, le=1e9)] | None = Field(
         None, description="time from row to row of a rolling shutter"
     )
 

@@ -111,6 +111,7 @@ def accuracy(
     lens: Mapping[str, Any] | None = None,
     pixel: Mapping[str, Any] | None = None,
     exposure: Mapping[str, Any] | None = None,
+    motion: Mapping[str, Any] | None = None,
     correction: Mapping[str, Any] | None = None,
     develop: Mapping[str, Any] | None = None,
     display: Mapping[str, Any] | None = None,
@@ -127,8 +128,8 @@ def accuracy(
     quick : fewer steps
     config : one or more TOML files with a sensor, its camera, exposure and display; later ones take precedence
     parameters : of the scene, each in its unit
-    camera, lens, pixel, exposure, correction, develop, display : fields of these tables, each in its unit, which override those of
-        the files
+    camera, lens, pixel, exposure, motion, correction, develop, display : fields of these tables, each in its unit, which override
+        those of the files
     seed : of the sensor and its noise; None means that of `config`, or 0
     sensor : id of the scene's sensor, if it has several
     variant : Mitsuba variant; None means the fastest that works
@@ -141,8 +142,8 @@ def accuracy(
     >>> result.analytic, all(case.passed for case in result.cases)
     (True, True)
     """
-    tables = {"camera": camera, "lens": lens, "pixel": pixel, "exposure": exposure, "correction": correction}
-    tables |= {"develop": with_functions(develop), "display": display, "scene": parameters}
+    tables = {"camera": camera, "lens": lens, "pixel": pixel, "exposure": exposure, "motion": motion}
+    tables |= {"correction": correction, "develop": with_functions(develop), "display": display, "scene": parameters}
     settings = run_settings(config, {name: value for name, value in (tables | {"seed": seed}).items() if value is not None})
     stage = progress or no_stage
     return survey(os.fspath(scene), settings, quick=quick, sensor=sensor, variant=variant, progress=stage)
