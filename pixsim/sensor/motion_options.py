@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Annotated, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from pixsim.base.errors import invalid
-from pixsim.base.records import Record
+from pixsim.base.records import Record, as_list
 from pixsim.optics.quantities import Distance
 from pixsim.sensor.exposure import Exposure
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pixsim.optics.camera import Camera
 
 Speed = Annotated[float, Field(ge=-1e12, le=1e12)]
-Velocity = tuple[Speed, Speed]
+Velocity = Annotated[tuple[Speed, Speed], BeforeValidator(as_list)]  # of an option, as 500,0
 VELOCITIES = "velocity_mm_per_s", "image_um_per_s", "pixels_per_s"
 
 

@@ -170,9 +170,9 @@ def prepare(
             raise invalid(setting("units"), f"'{source}', a scene", allowed)
         scene = loaded_scene(source, settings.scene, settings.resolution, variant=variant, sensor=sensor)
         whole = scene.camera(settings.camera, settings.lens)
-    seen = scene or picture
-    assert seen is not None
-    without = check_metrics(settings, [settings.pixel], seen, units=units)
+    known = scene or picture
+    assert known is not None
+    without = check_metrics(settings, [settings.pixel], known, units=units)
     start_of(settings, scene)
     warn_of_unused_settings({"": [given]})
     camera = whole.window(settings.window_mm)
@@ -182,8 +182,7 @@ def prepare(
     border_um = scored_border_um(derive(settings.pixel), settings.motion, settings.exposure, camera) or pitch_um
     dot_edges_um(camera.die_um, pitch_um, settings.display, border_um)
     complete = with_view(settings, view).model_copy(update={"camera": whole.options})
-    seen = picture if scene is None else scene_with_view(scene, view)
-    assert seen is not None
+    seen = known if scene is None else scene_with_view(scene, view)
     case = Case(complete, found=(seen, camera), without=without)
     job = RunJob(
         source=source,

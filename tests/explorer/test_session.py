@@ -23,6 +23,7 @@ from pixsim.viewer.setting import Run
 
 SMALL = {"resolution": 64, "display": {"dots": 32}, "pixel": {"pitch_um": 42.4}}  # two pixels a dot; its film is measured
 TURNED = {"pixel.pitch_um": 40.0, "camera.f_number": 5.6, "exposure.gain_db": 6.1, "scene.luminance_cd_per_m2": 300.0}
+TURNED |= {"motion.image_um_per_s": 500.0, "develop.denoise": "nlm", "develop.denoise_strength": 1.5}
 
 
 def answers(session: Session, asked: Asked) -> list[dict[str, Any]]:
@@ -63,9 +64,9 @@ def test_ways_out_repeat_the_picture_bit_for_bit(way, answered, tmp_path):
     shown = next(message for message in sent if "pictures" in message)["pictures"]
     last = next(message for message in sent if message.get("sure"))
     if way == "Python":
-        values = {name: {} for name in ("camera", "exposure")}
         own = {**SMALL, "pixel": {"pitch_um": 40.0}, "camera": {"f_number": 5.6}, "exposure": {"gain_db": 6.1}}
-        result = run("csf", parameters={"luminance_cd_per_m2": 300.0}, repeats=4, **values | own)
+        own |= {"motion": {"image_um_per_s": (500.0, 0.0)}, "develop": {"denoise": "nlm", "denoise_strength": 1.5}}
+        result = run("csf", parameters={"luminance_cd_per_m2": 300.0}, repeats=4, **own)
         ideal, image = (display_codes(each) for each in (result.score.ideal, result.score.image))
     else:
         (tmp_path / "settings.toml").write_text(last["settings"])
@@ -168,6 +169,8 @@ def test_controls_have_what_their_fields_declare():
     assert (gain.least, gain.most, gain.unit, gain.help) == (0, declared["maximum"], "dB", declared["description"])
     assert found["pixel.pitch_um"].unit == "µm"
     assert all(control.help for control in found.values())
+    motion = found["motion.image_um_per_s"]
+    assert (motion.label, motion.unit, motion.pair) == ("motion of the image", "µm/s", True)
 
 
 def test_controls_of_a_scene_follow_its_parameters():
