@@ -10,7 +10,6 @@ from typing import Any
 UNITS = {
     "_e_per_dn": "electrons per DN", "dn_per_e": "DN per electron", "_mv_um": "mV·µm", "_um2": "µm²",
     "_percent": "%", "_db": "dB", "_c": "°C",
-    "_um_per_s": "µm/s", "_mm_per_s": "mm/s", "pixels_per_s": "pixels per second",
     "_cd_per_m2": "cd/m²", "_e_per_s": "electrons per second", "samples_per_deg": "display dots per degree", "_delta_e": "ΔE",
     "_cy_per_deg": "cycles per degree", "_mm_per_s": "mm/s", "_um_per_s": "µm/s", "pixels_per_s": "pixels per second",
     "line_time_us": "µs",

@@ -147,6 +147,7 @@ def explore_until_closed(session: Session, told: Callable[[Path], object] | None
         if told is not None:
             told(file)
         elif not webbrowser.open(file.as_uri()):
-            hint = "--no-browser (opened=print in Python) names the file that leads to the page, for any browser."
-            raise invalid("browser", "none that can be opened", "a browser", hint)
+            raise invalid(
+                "browser", "none that can be opened", "one", "--no-browser, in Python opened=print, names the page's file."
+            )
         session.serve()
