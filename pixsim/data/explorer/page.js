@@ -34,8 +34,7 @@ function received(message) {
 function complain(words) { at("error").textContent = words; at("error").hidden = false; at("stack").classList.add("old"); }
 
 function begin(found) {
-  hello = found;
-  at("title").textContent = hello.title; document.title = `pixsim explore: ${hello.title}`;
+  hello = found; at("title").textContent = hello.title; document.title = `pixsim explore: ${hello.title}`;
   const groups = {};
   hello.presets.forEach((preset, index) => {
     groups[preset.group] ??= at("preset").appendChild(make("optgroup", {label: preset.group}));
@@ -151,8 +150,7 @@ function show() {
 }
 
 function draw() {
-  const all = points.flat(), svg = at("plot").querySelector("svg");
-  svg.replaceChildren();
+  const all = points.flat(), svg = at("plot").querySelector("svg"); svg.replaceChildren();
   if (at("plot").hidden = !all.length) return;
   const x = all.map(each => Math.log(each[0])), low = Math.min(...x), wide = Math.max(...x) - low || 1;
   const top = Math.max(...all.map(each => each[1] + each[2])) || 1;
