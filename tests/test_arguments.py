@@ -29,6 +29,7 @@ import pixsim
 from pixsim.base.arguments import check_of, without_bounds
 from pixsim.base.errors import PixsimError
 from pixsim.optics.camera import CameraOptions
+from pixsim.optics.lens_options import LensOptions
 
 LIMIT_S = 20.0  # of a call; the slowest takes 0.1 s, the import of Dask 1 s, on a loaded machine many times that
 NM = np.array([450.0, 550.0, 650.0])
@@ -128,6 +129,7 @@ GOOD: dict[str, Any] = {
     "mean": 1.0, "rer": 0.4, "ground_m": 0.5, "snr": 50.0, "frequency": np.array([0.0, 1.0, 2.0]), "reflectance": 0.9,
     "frequency_cy_per_deg": np.array([0.0, 1.0, 2.0]), "angle_deg": 5.0, "white_cd_per_m2": 100.0,
     "ideal": PLANE, "light": LIGHT, "pixels": lambda: [PIXEL],
+    "exposures": 2, "total_s": 0.1, "chosen": LensOptions(), "pitches_um": [5.0, 10.0],
     "factor": 2.0, "edges_nm": np.array([400.0, 500.0, 600.0]), "height_mm": 1.0, "azimuth_deg": 30.0,
 }  # fmt: skip
 OWN: dict[str, Any] = {
@@ -148,7 +150,7 @@ OWN: dict[str, Any] = {
     "pixsim.Camera.lights_like.other": CAMERA,
     "pixsim.colour_matrix.wavelength_nm": np.arange(400.0, 701.0, 10.0), "pixsim.colour_matrix.method": "least_delta_e",
     **dict.fromkeys((f"pixsim.optics.lens.Lens.{name}.wavelength_nm" for name in (
-        "first_order", "field_of_height", "image_circle_mm", "fresnel_transmittance", "ray_points")), 550.0),
+        "first_order", "field_of_height", "image_circle_mm", "fresnel_transmittance", "ray_points", "ghosts")), 550.0),
     "pixsim.optics.lens.Lens.stopped_down.f_number": 8.0,
     "pixsim.viewer.judges.relative_edge_response.frequency_cy_per_px": np.array([0.0, 0.5, 1.0]),
     **dict.fromkeys((f"pixsim.viewer.judges.{name}.frequency_cy_per_mm" for name in (
@@ -164,6 +166,7 @@ INSTANCES: dict[str, Callable[[], Any]] = {
     "Camera": lambda: CAMERA, "CameraOptions": CameraOptions, "Study": lambda: STUDY, "Technology": lambda: TECHNOLOGY,
     "SpectralImage": lambda: LIGHT, "PixelPhysics": lambda: PHYSICS, "EdgeResponse": edge, "Scene": scene,
     **dict.fromkeys(("Score", "FrameScore"), score), "SensorTable": sensor_table,
+    "Exposure": lambda: EXPOSURE, "Motion": lambda: pixsim.Motion(image_um_per_s=(100.0, 0.0)),
     "Plan": plan, "Frame": lambda: FRAME, "Sensor": lambda: SENSOR, "RawFrame": lambda: pixsim.read_frame,
     "Lens": cache(lambda: pixsim.load_lens("cooke_triplet")),
 }  # fmt: skip

@@ -61,7 +61,3 @@ class Exposure(Record):
     def times(self) -> int:
         """How many of the stated times a frame takes: 1, but for exposures that have it each."""
         return self.frames if self.frame_time == "each" else 1
-
-    def lasting(self, total_s: float) -> Exposure:
-        """Return the exposure with a time that its exposures share."""
-        return self.model_copy(update={"integration_s": total_s, "frame_time": "shared"})

@@ -10,6 +10,7 @@ coefficients are a filter of the samples, too; so a path costs an inverse transf
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -17,7 +18,11 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from pixsim.base.arrays import Array, dct, empty_planes, strips, transposed
+from pixsim.base.errors import invalid
 from pixsim.base.machine import threads
+from pixsim.optics.camera import Camera
+from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.motion_options import VELOCITIES, Motion
 
 MAX_KEPT_SAMPLES = 1 << 22  # of a light whose transforms are kept, 32 MiB each: a film of 2048²
 REACH = 3  # cells beyond an interval that its weights reach
@@ -232,3 +237,52 @@ def quartic_integral(x: Array) -> Array:
         total += (-1) ** knot * math.comb(5, knot) * np.maximum(at - knot, 0.0) ** 5
     total /= 120
     return np.where(x > 0, 1 - total, total)
+
+
+def velocity_um_per_s(motion: Motion, camera: Camera, pitch_um: float) -> tuple[float, float]:
+    """Return the velocity [x, y] of the image on the sensor.
+
+    An object's is that times its image distance over its distance from the lens, as of a thin lens.
+
+    pitch_um : of the pixels, for `pixels_per_s`
+    """
+    if motion.velocity_mm_per_s is not None:
+        scale = camera.image_distance_mm / (motion.distance_m or camera.object_distance_m)  # mm/m, and µm/mm
+        x, y = motion.velocity_mm_per_s
+    else:
+        scale = 1.0 if motion.image_um_per_s is not None else pitch_um
+        x, y = motion.image_um_per_s or motion.pixels_per_s or (0.0, 0.0)
+    return x * scale, y * scale
+
+
+def room_um(motion: Motion, exposure: Exposure, camera: Camera, pitches_um: Iterable[float]) -> float:
+    """Return the width on each side of the die that is left to light from beyond it: half of the longest path on the sensor.
+
+    With a rolling shutter the first and the last rows see the scene displaced, too.
+
+    pitches_um : of the largest and the smallest pixels
+    """
+    if not motion.is_on:
+        return 0.0
+    if motion.margin_um is not None:
+        return motion.margin_um
+    longest_s = exposure.times * (exposure.integration_s or exposure.max_integration_s)
+    rooms = []
+    for pitch_um in pitches_um:
+        lines = 1e3 * camera.height_mm / pitch_um
+        rooms.append((longest_s + lines * exposure.line_time_s) / 2 * max(map(abs, velocity_um_per_s(motion, camera, pitch_um))))
+    return max(rooms)
+
+
+def border_with_room_um(border_um: float, motion: Motion, exposure: Exposure, camera: Camera, pitches_um: Iterable[float]) -> float:
+    """Return the width on each side of the die that is not scored: that of pixels, and `room_um`.
+
+    Raises PixsimError if nothing would be left to score.
+    """
+    spare_um, least_um = room_um(motion, exposure, camera, pitches_um), 1e3 * min(camera.die_mm, camera.height_mm)
+    if spare_um and 2 * (border_um + spare_um) >= least_um:
+        got = f"a path of up to {2 * spare_um:.4g} µm on the sensor" if motion.margin_um is None else f"a margin of {spare_um:g} µm"
+        allowed = f"one that leaves something to score, a path below {max(0.0, least_um - 2 * border_um):.4g} µm, twice its margin"
+        hint = f"Shorten exposure.max_integration_s, state exposure.integration_s, or slow it down ({', '.join(VELOCITIES)})."
+        raise invalid("motion", got, allowed, hint)
+    return border_um + spare_um

@@ -536,6 +536,7 @@ class PixelPhysics:
             raise invalid("exposure.frames", got, f"sums of at most {MAX_CODE_BITS} bits", "Take fewer exposures or bits.")
         return found
 
+    @checks_arguments
     def at_exposure(self, exposure: Exposure) -> PixelPhysics:
         """Return the pixel as an exposure reads it: at its gain, in as many exposures. Raises PixsimError as `burst`."""
         read = self.at_gain(exposure.gain_db)

@@ -26,6 +26,7 @@ from pixsim.sensor.integration import (
     moved_signals,
     pixels_on,
 )
+from pixsim.sensor.motion import velocity_um_per_s
 from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.noise import constant_e, variance_e2
 from pixsim.sensor.photodiode import responds_linearly, saturation_level_e, stored_signal_e
@@ -46,6 +47,11 @@ MAX_BLACK = 0.5  # of the codes: a higher black level leaves too few for light
 
 
 # --- exposure ---------------------------------------------------------------------------------------------------------
+
+
+def lasting(exposure: Exposure, total_s: float) -> Exposure:
+    """Return the exposure with a time that its exposures share."""
+    return exposure.model_copy(update={"integration_s": total_s, "frame_time": "shared"})
 
 
 @checks_arguments
@@ -561,6 +567,6 @@ def capture(
     lights, size_um = lights_of(irradiance, camera, physics), array_size_um(irradiance, camera)
     still, _ = array_signal(lights, irradiance.pitch_um, physics, size_um)
     time_s = integration_time_s(exposure, physics, float(still.max()))
-    moving = moving_in(motion.um_per_s(camera, physics.pitch_um), time_s, exposure)
+    moving = moving_in(velocity_um_per_s(motion, camera, physics.pitch_um), time_s, exposure)
     signal, each = moved_signals(lights, irradiance.pitch_um, physics, size_um, moving, exposure.frames)
-    return capture_from_rates(signal, sensor, exposure.lasting(time_s), rng, each)
+    return capture_from_rates(signal, sensor, lasting(exposure, time_s), rng, each)

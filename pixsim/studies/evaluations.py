@@ -24,7 +24,7 @@ from pixsim.base.progress import Progress
 from pixsim.base.records import content_hash
 from pixsim.sensor.collection import warn_of_stack_limits
 from pixsim.sensor.integration import pixels_on
-from pixsim.sensor.readout import Frame, Sensor, make_frame
+from pixsim.sensor.readout import Frame, Sensor, lasting, make_frame
 from pixsim.studies.cost import frame_cost, jobs_in_memory
 from pixsim.studies.engine import Workers, results_of, workers_here
 from pixsim.studies.keys import REPEATS_PER_TASK, block_key
@@ -253,7 +253,7 @@ def shown_chain(task: Task, light: SharedLight, repeat: int, known: cache.Arrays
     found = kept_frame(known, repeat, whole, imaging.correction.is_on)
     if found is None:
         return None
-    exposed = imaging.exposure.lasting(float(found[TIME]))
+    exposed = lasting(imaging.exposure, float(found[TIME]))
     return chain_of_frames(light, physics, exposed, imaging.correction, imaging.develop, whole)
 
 

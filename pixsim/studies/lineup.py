@@ -25,7 +25,7 @@ from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.scene.study_scene import StudyScene
 from pixsim.sensor.integration import check_pixel_count, pixels_on
 from pixsim.sensor.labels import file_label, labels_of
-from pixsim.sensor.motion_options import border_with_room_um
+from pixsim.sensor.motion import border_with_room_um
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY, REGISTERED_BORDER
 from pixsim.sensor.spread import sheet_uncertainty

@@ -37,7 +37,7 @@ from pixsim.sensor.integration import ChannelLight, PartBehindLens, illumination
 from pixsim.sensor.motion_options import STILL
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.sensor.readout import integration_time_s
+from pixsim.sensor.readout import integration_time_s, lasting
 from pixsim.studies.budget import Settled, sensor_delta_e, without_warnings
 from pixsim.studies.film_error import (
     FINER,
@@ -508,7 +508,7 @@ def _mean_delta_e(
 
     in_threads(prepare, range(len(parts)), cells)
     brightest = max(float(chain.signal_e_per_s.max()) for chain in chains.values())
-    exposure = own.exposure.lasting(integration_time_s(own.exposure, physics, brightest))
+    exposure = lasting(own.exposure, integration_time_s(own.exposure, physics, brightest))
     in_threads(score, range(len(parts)), cells)
     return delta_e
 

@@ -12,7 +12,7 @@ from pixsim.base.errors import invalid
 from pixsim.optics.camera import Camera
 from pixsim.optics.diffraction import cutoff_cy_per_mm
 from pixsim.scene.film import GREEN_NM
-from pixsim.sensor.motion_options import border_with_room_um
+from pixsim.sensor.motion import border_with_room_um
 from pixsim.sensor.pixel import largest_pitch_um, pitch_for_fill_factor_um
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.sensor.technology import with_fill_factor_law

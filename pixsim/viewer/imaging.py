@@ -11,6 +11,7 @@ from pixsim.optics.camera import Camera
 from pixsim.sensor.correction_options import NO_CORRECTION, Correction
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import ChannelLight
+from pixsim.sensor.motion import velocity_um_per_s
 from pixsim.sensor.motion_options import STILL, Motion
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
@@ -99,5 +100,5 @@ class Imaging:
         """
         physics = physics or self.physics
         prepared = self.prepared(light, physics)
-        um_per_s = self.motion.um_per_s(self.camera, physics.pitch_um)
+        um_per_s = velocity_um_per_s(self.motion, self.camera, physics.pitch_um)
         return chain_at_pitch(prepared, physics, self.exposure, self.correction, self.develop, um_per_s)

@@ -38,7 +38,7 @@ from pixsim.sensor.motion import STANDING, Moving
 from pixsim.sensor.noise import variances_e2, without_source
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.quantities import MAX_CODE_BITS
-from pixsim.sensor.readout import Frame
+from pixsim.sensor.readout import Frame, lasting
 from pixsim.viewer.develop import white_y, xyz_weights
 from pixsim.viewer.develop_steps import PLANES, developed
 from pixsim.viewer.display import means_on_dots, white_rate
@@ -143,7 +143,7 @@ def delta_e_of_noise(
     chain: ImagingChain, frame: Frame, parts: Parts, variances: dict[str, float], key: tuple[object, ...]
 ) -> dict[str, float]:
     """Return what each cause of noise takes off the mean ΔE, in the order of `variances`; together `Parts.noise`."""
-    exposure = chain.exposure.lasting(frame.integration_s)
+    exposure = lasting(chain.exposure, frame.integration_s)
     physics, steps = chain.physics, [parts.mean_delta_e]
     for name in variances:
         if name == SHOT:

@@ -35,7 +35,7 @@ from pixsim.sensor.integration import (
 )
 from pixsim.sensor.motion import STANDING, LightSpectrum, Moving
 from pixsim.sensor.pixel import PixelPhysics
-from pixsim.sensor.readout import Frame, integration_time_s, make_frame
+from pixsim.sensor.readout import Frame, integration_time_s, lasting, make_frame
 from pixsim.viewer.develop import white_y, xyz_weights
 from pixsim.viewer.develop_steps import PLANES, developed
 from pixsim.viewer.score import ImagingChain, PreparedScene, shown
@@ -102,7 +102,7 @@ def delta_e_parts(
 
 def noiseless_frame(chain: ImagingChain, integration_s: float) -> Frame:
     """Return the frame of the mean electrons, without noise, fixed pattern and rounding; as of a well without end."""
-    exposure = chain.exposure.lasting(integration_s)
+    exposure = lasting(chain.exposure, integration_s)
     empty = np.zeros(chain.signal_e_per_s.shape, np.int32)
     frame = make_frame(empty, 0.0, chain.signal_e_per_s, chain.physics, exposure)
     return replace(frame, corrected_e=(chain.signal_e_per_s * integration_s).astype(np.float32))

@@ -43,8 +43,8 @@ from pixsim.sensor.integration import (
     lights_of,
     moved_signals,
 )
-from pixsim.sensor.motion import STANDING, Moving
-from pixsim.sensor.motion_options import STILL, VELOCITIES, Motion, border_with_room_um
+from pixsim.sensor.motion import STANDING, Moving, border_with_room_um, velocity_um_per_s
+from pixsim.sensor.motion_options import STILL, VELOCITIES, Motion
 from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements, warn_of_implausible_numbers
 from pixsim.sensor.pixel_options import Pixel
@@ -55,6 +55,7 @@ from pixsim.sensor.readout import (
     capture_from_rates,
     dark_spread_e,
     integration_time_s,
+    lasting,
     least_black_level_dn,
     make_frame,
     sample_sensor,
@@ -490,7 +491,7 @@ class ImagingChain:
         if self.develop.adapts:
             return self._covariance_of_frames(integration_s)
         empty = np.zeros(self.signal_e_per_s.shape, np.int32)
-        exposure = self.exposure.lasting(integration_s)
+        exposure = lasting(self.exposure, integration_s)
         frame = make_frame(empty, 0.0, self.signal_e_per_s, self.physics, exposure)
         return noise_covariance(self.developing(frame, matrix=None), self.rendition.responses, self.screen.dot_um)
 
@@ -505,7 +506,7 @@ class ImagingChain:
         count = max(2, math.floor(side * pitch_um / dot_um) - 2)  # but those at the edges
         edges_um = side * pitch_um / 2 + (np.arange(count + 1.0) - count / 2) * min(dot_um, side * pitch_um / count)
         rates = np.maximum(self.rendition.responses, 0.0) * np.array(self.whites_e_per_s)
-        exposure = self.exposure.lasting(integration_s)
+        exposure = lasting(self.exposure, integration_s)
         whole = replace(self.screen, size_um=(side * pitch_um, side * pitch_um), dot_edges_um=(edges_um, edges_um))
         display = screen.display.model_copy(update={"dots": max(8, count)})  # decides on the order of the axes alone
         physics = replace(physics, pixel=physics.pixel.model_copy(update={"registration": None}))
@@ -1016,7 +1017,7 @@ def chain_at_pitch(
     if light.exposed_for is not None and exposure.integration_s is None:
         calm, _ = array_signal(light.exposed_for, light.sample_pitch_um, physics, light.array_um)
         time_s = integration_time_s(exposure, physics.as_read, float(calm.max()))
-        exposure = exposure.lasting(time_s)
+        exposure = lasting(exposure, time_s)
     still = _chain(light, physics, exposure, correction, develop, signal, collections)
     return still if um_per_s == NO_VELOCITY else _moved(still, light, physics, um_per_s)
 
@@ -1037,7 +1038,7 @@ def _moved(still: ImagingChain, light: PreparedScene, physics: PixelPhysics, um_
     return replace(
         still,
         signal_e_per_s=signal,
-        exposure=exposure.lasting(time_s),
+        exposure=lasting(exposure, time_s),
         without_e_per_s=None if without is None else array_signal(without, *pixels)[0],
         um_per_s=um_per_s,
         moving=moving,
@@ -1161,7 +1162,7 @@ def make_imaging_chain(
     if key is None or key not in _kept_chains:
         own = irradiance, camera, physics, display, full
         light = prepare(*own, border_um=border_um, judging=judging, without=without, develop=develop)
-        um_per_s = motion.um_per_s(camera, physics.pitch_um)
+        um_per_s = velocity_um_per_s(motion, camera, physics.pitch_um)
         found = chain_at_pitch(light, physics, exposure, correction, develop, um_per_s), light.beyond_white
     else:
         found = _kept_chains.pop(key)

@@ -10,6 +10,7 @@ import numpy as np
 
 from pixsim.base.arrays import Array, stream
 from pixsim.base.errors import invalid
+from pixsim.sensor.readout import lasting
 from pixsim.viewer.judges.non_prewhitening import npwe
 from pixsim.viewer.judges.sharpness import acutance
 from pixsim.viewer.judges.visible_noise import visual_noise
@@ -71,7 +72,7 @@ def _visual_noise(judged: Judged) -> tuple[float]:
     even = np.full(chain.signal_e_per_s.shape, GREY * chain.white_e_per_s)
     if chain.even is not None and (chain.shading is not None or chain.correction.flat_frames):
         even *= chain.even  # by which the picture is divided
-    patch = replace(chain, signal_e_per_s=even, exposure=chain.exposure.lasting(time_s))
+    patch = replace(chain, signal_e_per_s=even, exposure=lasting(chain.exposure, time_s))
     key = (*judged.stream, judged.number, "visual noise")
     frame = patch.capture_with(stream(*key, "sensor"), stream(*key, "frame"), stream(*key, "correction"))
     if frame.saturated_fraction > FEW_FULL:
