@@ -22,12 +22,10 @@ from benchmarks.five_judges import best_words, markdown
 from helpers.documents import ROOT, blocks_of
 
 import pixsim
-from pixsim.studies.agreement import fits_of
 from pixsim.studies.result import Curve, StudyResult
 
 PAGE = ROOT / "docs/processing.md"
 AXIS = "processing"
-JUDGES = {"delta_e": "ΔE", "npwe": "d′ of the viewer", "visual_noise": "visual noise"}
 
 
 def moved(raw: Curve, other: Curve) -> str:
@@ -62,15 +60,6 @@ def sizes_of(results: dict[str, StudyResult]) -> tuple[str, str]:
     return markdown(best), markdown(moves)
 
 
-def judged(result: StudyResult) -> str:
-    """Best size by each judge, for each processing."""
-    rows = [(AXIS, *JUDGES.values())]
-    for curve in result.curves:
-        fits = fits_of(curve)
-        rows.append((str(curve.at[AXIS]), *(best_words(fits[judge]) if judge in fits else "–" for judge in JUDGES)))
-    return markdown(rows)
-
-
 def small_and_large(result: StudyResult) -> str:
     """Mean ΔE of the small and of the large pixels, with the interval of the difference of pairs."""
     rows = [("signal of the white", AXIS, "1.25 µm", "5 µm", "small less large")]
@@ -100,8 +89,10 @@ def main() -> None:
         folder = options.out / f"{Path(of).stem}{'-quick' * quick}"
         return pixsim.study(str(options.out / of) if of in files else of, folder, quick=quick, jobs=options.jobs)
 
-    made = (*sizes_of({"paper, 1000 cd": study("paper.toml"), AXIS: study(AXIS, options.quick)}), judged(study("judges.toml")))
-    made = (*made, small_and_large(study("two_sizes.toml")))
+    made = (
+        *sizes_of({"paper, 1000 cd": study("paper.toml"), AXIS: study(AXIS, options.quick)}),
+        small_and_large(study("two_sizes.toml")),
+    )
     print("\n\n".join(made))
     if options.write:
         ready = iter(made)
