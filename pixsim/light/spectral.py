@@ -495,7 +495,7 @@ def extremes(planes: NDArray[np.float32]) -> tuple[float, float]:
     return low, high
 
 
-LOW_NM, HIGH_NM = 360.0, 830.0  # the range that Mitsuba samples
+LOW_NM, HIGH_NM = 360.0, 830.0  # the range of the eye, and of Mitsuba's colours
 # Steps of the wavelength grids; a lamp uses the coarsest that resolves it. Powers of two, so that nodes, widths and ratios
 # are exact in Mitsuba's float32, and the nodes of its combined response are those of the grid.
 STEPS_NM = (1.0, 1 / 8, 1 / 32)
@@ -504,9 +504,25 @@ FINEST_REGULAR_NM, MAX_REGULAR_VALUES = 0.1, 8192
 COARSE_SPACING_NM = 0.199  # 0.2 nm less a rounding error; tables with closer nodes need the finest step
 
 
-def grid_nm(step_nm: float = 1.0) -> Array:
-    """Return the wavelengths from 360 to 830 nm in equal steps."""
-    return np.arange(LOW_NM, HIGH_NM + step_nm / 2, step_nm)
+@dataclass(frozen=True)
+class Span:
+    """A range of wavelengths that is computed; both ends are whole nanometres."""
+
+    low_nm: float = LOW_NM
+    high_nm: float = HIGH_NM
+
+    @property
+    def words(self) -> str:
+        """The range, as text."""
+        return f"{self.low_nm:g}-{self.high_nm:g} nm"
+
+
+VISIBLE, WIDEST = Span(), Span(300.0, 1100.0)  # from where lenses transmit to where silicon ends
+
+
+def grid_nm(step_nm: float = 1.0, span: Span = VISIBLE) -> Array:
+    """Return the wavelengths of a range in equal steps."""
+    return np.arange(span.low_nm, span.high_nm + step_nm / 2, step_nm)
 
 
 @dataclass(frozen=True)
@@ -550,16 +566,16 @@ class Spectrum:
         """Return the exact integral over a range."""
         return float(self.cell_means(np.array([low_nm, high_nm]))[0] * (high_nm - low_nm))
 
-    def on_grid(self, step_nm: float) -> Array:
+    def on_grid(self, step_nm: float, span: Span = VISIBLE) -> Array:
         """Return the means over cells around the nodes of `grid_nm`; their trapezoidal sum is the integral."""
-        if step_nm not in self._on_grids:  # each band of a lamp asks for it
-            nodes = grid_nm(step_nm)
-            self._on_grids[step_nm] = self.cell_means(np.concatenate([nodes[:1], nodes[:-1] + step_nm / 2, nodes[-1:]]))
-            self._on_grids[step_nm].flags.writeable = False
-        return self._on_grids[step_nm]
+        if (step_nm, span) not in self._on_grids:  # each band of a lamp asks for it
+            nodes = grid_nm(step_nm, span)
+            self._on_grids[step_nm, span] = self.cell_means(np.concatenate([nodes[:1], nodes[:-1] + step_nm / 2, nodes[-1:]]))
+            self._on_grids[step_nm, span].flags.writeable = False
+        return self._on_grids[step_nm, span]
 
     @cached_property
-    def _on_grids(self) -> dict[float, Array]:
+    def _on_grids(self) -> dict[tuple[float, Span], Array]:
         return {}
 
     def __mul__(self, factor: float) -> Spectrum:
