@@ -35,6 +35,8 @@ MAX_VALUE = float(np.finfo(np.float32).max)
 DIGEST = "digest"  # entry of a header: of light that was given, whose other entries need not say what it is
 # Entries of a header: the light of the scene's white, in each band; and the lamps that make it together, if the scene names them.
 LAMP, WHITE_LAMPS = "lamp_w_per_m2_sr_nm", "white_lamps"
+WHITE_RADIANCE = "white_w_per_m2_sr"  # entry of a header: radiance of white, of light without luminance
+LEAST_LM_PER_W = 0.1  # of light whose amount a luminance says; an incandescent lamp has 15, one line of 750 nm 0.08
 LUMINOUS_EFFICACY_LM_PER_W = 683.002  # K_m for standard air, CIE 018:2019
 
 
@@ -103,8 +105,8 @@ class SpectralImage:
     ----------
     wavelength_nm, band_width_nm : (B,) wavelengths and widths of adjoining bands; each value is the mean over its band. The
         wavelength is the band's centre. In a render it is the mean wavelength of the lamps' light in the band instead, where
-        this is 1 nm or more from the centre. The bands of a render start at 360 nm: their upper edges are
-        360 + np.cumsum(band_width_nm)
+        this is 1 nm or more from the centre. The bands of a render adjoin and start at 360 nm, or where
+        header["computed_nm"] says: their upper edges are 360 + np.cumsum(band_width_nm)
     pitch_um : sampling pitch on the sensor
     data : (H, W, B) float32, W m⁻² nm⁻¹; or
     factors : (spectra (r, B) float64 W m⁻² nm⁻¹, pictures (r, H, W) float32): data = Σ_r spectrum × picture.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, astuple, dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -17,10 +17,12 @@ from pixsim.light.quantities import FilmSamples
 from pixsim.light.spectral import (
     HIGH_NM,
     LAMP,
+    LEAST_LM_PER_W,
     LOW_NM,
     VISIBLE,
     WHITE_LAMPS,
     WIDEST,
+    Span,
     Spectrum,
     colour_matching,
     photons_per_joule,
@@ -98,6 +100,7 @@ class Plan:
     ends : whether the scene ends with the film, above and below, and at the left and the right: there a margin mirrors the film
     outside : entry of an irradiance's header on the lamps' light outside 360-830 nm; empty if there is none
     defocus : what the thin lens's defocus is off at depths of the scene behind a real lens, largest errors first
+    white_w_per_m2_sr : radiance of texel value 1 of an emissive chart whose light has no luminance, or None
     held : (node, property, spectrum) of tables of surfaces that go on beyond their ends, as `beyond_tables = "hold"` has it
     """
 
@@ -127,6 +130,7 @@ class Plan:
     ends: tuple[bool, bool] = (False, False)
     outside: dict[str, Any] = field(default_factory=dict, repr=False)
     held: tuple[tuple[int, str, Spectrum], ...] = field(default=(), repr=False)
+    white_w_per_m2_sr: float | None = None
 
     @checks_arguments
     def camera_of(self, camera: Camera) -> Camera:
@@ -344,10 +348,12 @@ def make_render_plan(
         warnings.append(f"the error of mean electrons is up to {bound_e:.1e}, above the tolerance {tolerance_e:g}: {limits}")
     emitters = nodes_of(state, "Emitter")
     alone = len(emitters) == 1 and len(bodies) == 1 and emitters[0][1].plugin == "area" and bool(lamps)
+    luminance, radiance = _white_of_chart(lamps[0], span) if alone else (None, None)
     plan = Plan(
         lights=tuple(lights),
         bands=bands,
-        white_cd_per_m2=(lamps[0].luminance_cd_per_m2 or None) if alone and lamps[0].spectrum else None,
+        white_cd_per_m2=luminance,
+        white_w_per_m2_sr=radiance,
         lens=lens,
         integrator=integrator,
         spp=spp,
@@ -398,6 +404,14 @@ NAMED = 4  # surfaces, in a message
 def _named(surfaces: Sequence[str]) -> str:
     """Return the first of some surfaces, as text."""
     return "; ".join(surfaces[:NAMED]) + f"; and {len(surfaces) - NAMED} more" * (len(surfaces) > NAMED)
+
+
+def _white_of_chart(lamp: Lamp, span: Span) -> tuple[float | None, float | None]:
+    """Return the luminance of texel value 1 of a chart's lamp, or the radiance of light without one; the other is None."""
+    if lamp.spectrum is None:
+        return None, None
+    luminance, radiance = lamp.luminance_cd_per_m2, lamp.spectrum.integral(*astuple(span))
+    return (luminance, None) if luminance > LEAST_LM_PER_W * radiance else (None, radiance)
 
 
 def _no_light(lamps: Sequence[Lamp]) -> PixsimError:

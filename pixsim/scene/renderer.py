@@ -23,7 +23,7 @@ from pixsim.base.notes import warn
 from pixsim.base.progress import Progress
 from pixsim.base.records import content_hash
 from pixsim.base.version import VERSION
-from pixsim.light.spectral import RINGS, VISIBLE, WHOLE, Span, SpectralImage
+from pixsim.light.spectral import RINGS, VISIBLE, WHITE_RADIANCE, WHOLE, Span, SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import LENS_HEADER, distortion_of, rendered_camera
 from pixsim.optics.camera_light import camera_factor
@@ -463,4 +463,6 @@ def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) ->
     header |= plan.white_header(plan.bands.edges_nm)
     if white := scene.white_cd_per_m2 or plan.white_cd_per_m2:
         header["luminance_cd_per_m2"] = float(f"{white:.9g}")
+    elif plan.white_w_per_m2_sr:
+        header[WHITE_RADIANCE] = float(f"{plan.white_w_per_m2_sr:.9g}")
     return header
