@@ -35,6 +35,8 @@ MAX_VALUE = float(np.finfo(np.float32).max)
 DIGEST = "digest"  # entry of a header: of light that was given, whose other entries need not say what it is
 # Entries of a header: the light of the scene's white, in each band; and the lamps that make it together, if the scene names them.
 LAMP, WHITE_LAMPS = "lamp_w_per_m2_sr_nm", "white_lamps"
+WHITE_RADIANCE = "white_w_per_m2_sr"  # entry of a header: radiance of white, of light without luminance
+LEAST_LM_PER_W = 0.1  # of light whose amount a luminance says; an incandescent lamp has 15, one line of 750 nm 0.08
 LUMINOUS_EFFICACY_LM_PER_W = 683.002  # K_m for standard air, CIE 018:2019
 
 
@@ -103,8 +105,8 @@ class SpectralImage:
     ----------
     wavelength_nm, band_width_nm : (B,) wavelengths and widths of adjoining bands; each value is the mean over its band. The
         wavelength is the band's centre. In a render it is the mean wavelength of the lamps' light in the band instead, where
-        this is 1 nm or more from the centre. The bands of a render start at 360 nm: their upper edges are
-        360 + np.cumsum(band_width_nm)
+        this is 1 nm or more from the centre. The bands of a render adjoin and start at 360 nm, or where
+        header["computed_nm"] says: their upper edges are 360 + np.cumsum(band_width_nm)
     pitch_um : sampling pitch on the sensor
     data : (H, W, B) float32, W m⁻² nm⁻¹; or
     factors : (spectra (r, B) float64 W m⁻² nm⁻¹, pictures (r, H, W) float32): data = Σ_r spectrum × picture.
@@ -495,7 +497,7 @@ def extremes(planes: NDArray[np.float32]) -> tuple[float, float]:
     return low, high
 
 
-LOW_NM, HIGH_NM = 360.0, 830.0  # the range that Mitsuba samples
+LOW_NM, HIGH_NM = 360.0, 830.0  # the range of the eye, and of Mitsuba's colours
 # Steps of the wavelength grids; a lamp uses the coarsest that resolves it. Powers of two, so that nodes, widths and ratios
 # are exact in Mitsuba's float32, and the nodes of its combined response are those of the grid.
 STEPS_NM = (1.0, 1 / 8, 1 / 32)
@@ -504,9 +506,25 @@ FINEST_REGULAR_NM, MAX_REGULAR_VALUES = 0.1, 8192
 COARSE_SPACING_NM = 0.199  # 0.2 nm less a rounding error; tables with closer nodes need the finest step
 
 
-def grid_nm(step_nm: float = 1.0) -> Array:
-    """Return the wavelengths from 360 to 830 nm in equal steps."""
-    return np.arange(LOW_NM, HIGH_NM + step_nm / 2, step_nm)
+@dataclass(frozen=True)
+class Span:
+    """A range of wavelengths that is computed; both ends are whole nanometres."""
+
+    low_nm: float = LOW_NM
+    high_nm: float = HIGH_NM
+
+    @property
+    def words(self) -> str:
+        """The range, as text."""
+        return f"{self.low_nm:g}-{self.high_nm:g} nm"
+
+
+VISIBLE, WIDEST = Span(), Span(300.0, 1100.0)  # from where lenses transmit to where silicon ends
+
+
+def grid_nm(step_nm: float = 1.0, span: Span = VISIBLE) -> Array:
+    """Return the wavelengths of a range in equal steps."""
+    return np.arange(span.low_nm, span.high_nm + step_nm / 2, step_nm)
 
 
 @dataclass(frozen=True)
@@ -550,16 +568,16 @@ class Spectrum:
         """Return the exact integral over a range."""
         return float(self.cell_means(np.array([low_nm, high_nm]))[0] * (high_nm - low_nm))
 
-    def on_grid(self, step_nm: float) -> Array:
+    def on_grid(self, step_nm: float, span: Span = VISIBLE) -> Array:
         """Return the means over cells around the nodes of `grid_nm`; their trapezoidal sum is the integral."""
-        if step_nm not in self._on_grids:  # each band of a lamp asks for it
-            nodes = grid_nm(step_nm)
-            self._on_grids[step_nm] = self.cell_means(np.concatenate([nodes[:1], nodes[:-1] + step_nm / 2, nodes[-1:]]))
-            self._on_grids[step_nm].flags.writeable = False
-        return self._on_grids[step_nm]
+        if (step_nm, span) not in self._on_grids:  # each band of a lamp asks for it
+            nodes = grid_nm(step_nm, span)
+            self._on_grids[step_nm, span] = self.cell_means(np.concatenate([nodes[:1], nodes[:-1] + step_nm / 2, nodes[-1:]]))
+            self._on_grids[step_nm, span].flags.writeable = False
+        return self._on_grids[step_nm, span]
 
     @cached_property
-    def _on_grids(self) -> dict[float, Array]:
+    def _on_grids(self) -> dict[tuple[float, Span], Array]:
         return {}
 
     def __mul__(self, factor: float) -> Spectrum:

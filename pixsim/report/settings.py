@@ -44,9 +44,11 @@ def scene_rows(
     if "film" in header:
         rows.append(("film", " × ".join(str(side) for side in reversed(header["film"])), "samples of the rendered film", ""))
     scene_white = header.get("luminance_cd_per_m2")
-    if isinstance(scene_white, int | float) and scene_white != light.white_cd_per_m2:
+    if isinstance(scene_white, int | float) and scene_white != light.white:
         rows.append(("luminance_cd_per_m2", f"{scene_white:.4g}", "white of the scene, which is not shown as display white", ""))
-    rows.append(("white_cd_per_m2", f"{light.white_cd_per_m2:.4g}", "scene luminance shown as display white", light.white_from))
+    seen = light.unit == "cd/m²"
+    name, what = ("white_cd_per_m2", "luminance") if seen else ("white_w_per_m2_sr", "radiance")
+    rows.append((name, f"{light.white:.4g}", f"scene {what} shown as display white", light.white_from))
     rows.append(("white_spectrum", light.white_spectrum, "light of the scene's white", ""))
     rows.append(("integration_s", light.exposure, "exposure time: shortest to longest frame", ""))
     return rows

@@ -10,15 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.light.spectral import HIGH_NM, LOW_NM, STEPS_NM, Spectrum, grid_nm
+from pixsim.light.spectral import STEPS_NM, VISIBLE, Span, Spectrum, grid_nm
 
 Response = Callable[[Array], Array]  # of a sensor or an eye, at wavelengths in nm; any unit
-# Bands of 10 nm, and the rest of 360-830 nm at either end.
-BAND_EDGES_NM = np.concatenate([[LOW_NM], np.arange(365.0, 826.0, 10.0), [HIGH_NM]])
 NARROWEST_BAND_NM = 1.0
 MAX_BANDS = 256
 PARTS_OF_A_BAND = 10
@@ -30,6 +29,11 @@ FLANK_STEPS = 2  # zeros at either end of a pulse, so that the film's combined t
 STIFFNESS = 1e-4  # regularisation towards linear interpolation between pulses, which limits noise amplification
 COLOUR_STIFFNESS = 1e-5  # where XYZ must be right: a third of the error with as many pulses, and 3 to 25 % more noise
 NEUTRAL_WEIGHT = 1e2  # weight of a neutral surface in the fit, which makes it exact
+
+
+def band_edges_nm(span: Span) -> Array:
+    """Return the edges of bands of 10 nm about whole tens, and the rest of a range at either end."""
+    return np.concatenate([[span.low_nm], np.arange(span.low_nm + 5, span.high_nm - 4, 10.0), [span.high_nm]])
 
 
 @dataclass(frozen=True)
@@ -62,14 +66,19 @@ class Bands:
     def width_nm(self) -> Array:
         return np.diff(self.edges_nm)
 
+    @property
+    def span(self) -> Span:
+        """The range that they cover."""
+        return Span(float(self.edges_nm[0]), float(self.edges_nm[-1]))
+
     def mean(self, response: Response) -> Array:
         """Return the mean of a response over each band (B,), weighted by the light in it."""
         return (self.shares * response(self.nodes_nm)).sum(axis=1)
 
     def integrals(self, energy: Array, step_nm: float) -> Array:
-        """Return the energy in each band, (..., B), from that in the cells between the nodes of `grid_nm(step_nm)`."""
+        """Return the energy in each band, (..., B), from that in the cells between the nodes of their range's grid."""
         running = np.concatenate([np.zeros_like(energy[..., :1]), np.cumsum(energy, axis=-1)], axis=-1)
-        at = (self.edges_nm - LOW_NM) / step_nm
+        at = (self.edges_nm - self.span.low_nm) / step_nm
         index = np.minimum(at.astype(int), energy.shape[-1] - 1)
         return np.diff(running[..., index] + (at - index) * energy[..., index], axis=-1)
 
@@ -90,9 +99,9 @@ class Pulse:
     def nodes_nm(self) -> Array:
         return np.linspace(self.low_nm, self.high_nm, self.values.size)
 
-    def mean(self, functions: Array, step_nm: float) -> Array:
-        """Return ∫ pulse × function for functions on `grid_nm(step_nm)`, both piecewise linear."""
-        first = round((self.low_nm - LOW_NM) / step_nm)
+    def mean(self, functions: Array, step_nm: float, span: Span = VISIBLE) -> Array:
+        """Return ∫ pulse × function for functions on `grid_nm(step_nm, span)`, both piecewise linear."""
+        first = round((self.low_nm - span.low_nm) / step_nm)
         weights = np.convolve(self.values, (1 / 6, 2 / 3, 1 / 6), mode="same") * step_nm
         return (functions[..., first : first + self.values.size] * weights).sum(axis=-1)
 
@@ -112,17 +121,18 @@ class Fit:
     error: float = 0.0
 
 
-def place_bands(lamps: list[Spectrum], surfaces: Array, witnesses: list[Witness], tolerance: float) -> Bands:
+def place_bands(lamps: list[Spectrum], surfaces: Array, witnesses: list[Witness], tolerance: float, span: Span = VISIBLE) -> Bands:
     """Return bands of 10 nm, halved where a response would otherwise be wrong by more than `tolerance`.
 
     Halving is needed where lamps have lines at different places in a band, or where a surface and a response both vary in it.
 
     Parameters
     ----------
-    surfaces : (n, 471) reflectance products at 360 … 830 nm; a neutral one is always added
+    surfaces : (n, G) reflectance products on the range's grid of 1 nm; a neutral one is always added
+    span : range that the bands cover
     """
-    edges = BAND_EDGES_NM
-    lights = [resolved(lamp, surfaces) for lamp in lamps]
+    edges = band_edges_nm(span)
+    lights = [resolved(lamp, surfaces, span) for lamp in lamps]
     while True:
         bands = _shaped(edges, lamps)
         errors = [band_errors(bands, light, witnesses) for light in lights]
@@ -137,9 +147,9 @@ def place_bands(lamps: list[Spectrum], surfaces: Array, witnesses: list[Witness]
         edges = np.sort(np.concatenate([edges, (edges[halved] + edges[halved + 1]) / 2]))
 
 
-def equal_bands(count: int, lamps: list[Spectrum]) -> Bands:
-    """Return `count` bands of equal width from 360 to 830 nm."""
-    return _shaped(np.linspace(LOW_NM, HIGH_NM, count + 1), lamps)
+def equal_bands(count: int, lamps: list[Spectrum], span: Span = VISIBLE) -> Bands:
+    """Return `count` bands of equal width that cover a range."""
+    return _shaped(np.linspace(span.low_nm, span.high_nm, count + 1), lamps)
 
 
 def band_errors(bands: Bands, lamp: tuple[Array, Array, Array], witnesses: list[Witness]) -> Array:
@@ -160,12 +170,12 @@ def band_errors(bands: Bands, lamp: tuple[Array, Array, Array], witnesses: list[
     return np.array(errors)
 
 
-def resolved(lamp: Spectrum, surfaces: Array) -> tuple[Array, Array, Array]:
+def resolved(lamp: Spectrum, surfaces: Array, span: Span = VISIBLE) -> tuple[Array, Array, Array]:
     """Return a lamp's energy in fine cells, the cell centres, and the surfaces (a neutral one first) at the centres."""
-    step = min(lamp.step_nm, STEPS_NM[1])
-    edges = grid_nm(step)
+    step, whole = min(lamp.step_nm, STEPS_NM[1]), grid_nm(span=span)
+    edges = grid_nm(step, span)
     at = edges[:-1] + step / 2
-    families = np.array([np.interp(at, grid_nm(), surface) for surface in (np.ones(grid_nm().size), *surfaces)])
+    families = np.array([np.interp(at, whole, surface) for surface in (np.ones(whole.size), *surfaces)])
     return lamp.cell_means(edges) * step, at, families
 
 
@@ -174,12 +184,13 @@ def _shaped(edges_nm: Array, lamps: list[Spectrum]) -> Bands:
     parts_nm = np.concatenate([np.linspace(a, b, PARTS_OF_A_BAND, endpoint=False) for a, b in pairwise(edges_nm)])
     parts = Bands(np.append(parts_nm, edges_nm[-1]), parts_nm, parts_nm[:, None], parts_nm[:, None])
     centres = (parts.edges_nm[:-1] + parts.edges_nm[1:]) / 2
-    energy, moment = np.zeros(centres.size), np.zeros(centres.size)
+    energy, moment, span = np.zeros(centres.size), np.zeros(centres.size), parts.span
     for lamp in lamps:
-        step, total = min(lamp.step_nm, STEPS_NM[1]), lamp.integral()
-        cells = lamp.cell_means(grid_nm(step)) * (step / (total if total > 0 else 1.0))
+        step, total = min(lamp.step_nm, STEPS_NM[1]), lamp.integral(span.low_nm, span.high_nm)
+        grid = grid_nm(step, span)
+        cells = lamp.cell_means(grid) * (step / (total if total > 0 else 1.0))
         energy += parts.integrals(cells, step)
-        moment += parts.integrals(cells * (grid_nm(step)[:-1] + step / 2), step)
+        moment += parts.integrals(cells * (grid[:-1] + step / 2), step)
     nodes = np.divide(moment, energy, out=centres.copy(), where=energy > 0)
     nodes = np.clip(nodes, parts.edges_nm[:-1], parts.edges_nm[1:]).reshape(-1, PARTS_OF_A_BAND)
     energy = energy.reshape(nodes.shape)
@@ -192,7 +203,9 @@ def _shaped(edges_nm: Array, lamps: list[Spectrum]) -> Bands:
     return Bands(edges_nm, np.where(near, centre, centroid), nodes, shares)
 
 
-def window_pulse(lamp: Spectrum | None, low_nm: float, high_nm: float, *, inside: bool = False, band: bool = False) -> Pulse | None:
+def window_pulse(
+    lamp: Spectrum | None, low_nm: float, high_nm: float, *, inside: bool = False, band: bool = False, span: Span = VISIBLE
+) -> Pulse | None:
     """Return the lamp between two wavelengths as a pulse, or None if it is dark there; without a lamp the pulse is flat.
 
     The flanks lie outside the window, or `inside` it if the next window adjoins in the same pass. The pulses of adjoining
@@ -201,20 +214,20 @@ def window_pulse(lamp: Spectrum | None, low_nm: float, high_nm: float, *, inside
     step = lamp.step_nm if lamp else 1.0
     if band:  # fine enough for every border of a band to be a node
         step = min(step, STEPS_NM[1])
-    first, last, most = (round((nm - LOW_NM) / step) for nm in (low_nm, high_nm, HIGH_NM))
+    first, last, most = (round((nm - span.low_nm) / step) for nm in (low_nm, high_nm, span.high_nm))
     reach = 0 if inside else FLANK_STEPS
     start = max(min(first - reach, most - 2 * FLANK_STEPS), 0)
     stop = min(max(last + reach, 2 * FLANK_STEPS), most)
     index = np.arange(start, stop + 1)
-    values = lamp.on_grid(step)[index] if lamp else np.ones(index.size)
+    values = lamp.on_grid(step, span)[index] if lamp else np.ones(index.size)
     values[(index < first) | (index > last)] = 0.0
     if band:  # half at its borders: neighbours add up to the lamp, and the area is that of the band
         values[(index == first) | (index == last)] /= 2
-    if not inside:  # flanks must stay within 360-830 nm: light at the ends is moved two steps inwards
+    if not inside:  # flanks must stay within the range: light at the ends is moved two steps inwards
         values = np.bincount(np.clip(index - start, FLANK_STEPS, stop - start - FLANK_STEPS), values, index.size).astype(float)
     values[:FLANK_STEPS] = values[-FLANK_STEPS:] = 0.0
     area = values.sum() * step
-    return Pulse(LOW_NM + step * start, LOW_NM + step * stop, values / area) if area > 0 else None
+    return Pulse(span.low_nm + step * start, span.low_nm + step * stop, values / area) if area > 0 else None
 
 
 def every_band(lamp: Spectrum | None, bands: Bands) -> Fit:
@@ -222,7 +235,8 @@ def every_band(lamp: Spectrum | None, bands: Bands) -> Fit:
     edges = bands.edges_nm
     # Without a lamp spectrum the pulses are flat and have unit area: they measure the mean over a band.
     mean = lamp.cell_means(edges) if lamp else np.ones(edges.size - 1)
-    band_pulse = {band: window_pulse(lamp, edges[band], edges[band + 1], band=True) for band in np.flatnonzero(mean).tolist()}
+    options: dict[str, Any] = {"band": True, "span": bands.span}
+    band_pulse = {band: window_pulse(lamp, edges[band], edges[band + 1], **options) for band in np.flatnonzero(mean).tolist()}
     lit, pulses = [band for band, pulse in band_pulse.items() if pulse], tuple(pulse for pulse in band_pulse.values() if pulse)
     fours = passes(len(pulses))
     # Flanks may overlap neighbours: then each pulse has its own pass.
@@ -251,13 +265,13 @@ def fit(
     `surfaces` as in `place_bands`, `stiffness` as `STIFFNESS`. Returns None if 32 pulses are too few, or if the lamp is dark. The
     error bounds light from these surfaces and sums of it; light from other surfaces may have a larger error.
     """
-    step = lamp.step_nm
-    grid, light = grid_nm(step), lamp.on_grid(step)
+    step, span = lamp.step_nm, bands.span
+    whole, grid, light = grid_nm(span=span), grid_nm(step, span), lamp.on_grid(step, span)
     lit = grid[light > 0]
     if lit.size == 0:
         return None
-    families = np.array([np.interp(grid, grid_nm(), surface) for surface in (np.ones(grid_nm().size), *surfaces)])
-    fine_light, at, fine = resolved(lamp, surfaces)
+    families = np.array([np.interp(grid, whole, surface) for surface in (np.ones(whole.size), *surfaces)])
+    fine_light, at, fine = resolved(lamp, surfaces, span)
     truth = np.array([(fine * (fine_light * witness.response(at))).sum(axis=1) for witness in witnesses])
     first = np.searchsorted(at, bands.edges_nm[:-1])
     band_means = np.add.reduceat(fine * fine_light, first, axis=1) / bands.width_nm
@@ -266,14 +280,14 @@ def fit(
     reference = np.maximum(truth, np.array([[witness.least] for witness in witnesses]) * truth[:, :1])
     for count in PULSE_COUNTS:
         cuts = np.linspace(lit[0], lit[-1], count + 1)
-        pulses = [window_pulse(lamp, a, b, inside=count > 1) for a, b in pairwise(cuts)]
+        pulses = [window_pulse(lamp, a, b, inside=count > 1, span=span) for a, b in pairwise(cuts)]
         pulses_lit = [pulse for pulse in pulses if pulse is not None]
         if not pulses_lit:  # the windows are narrower than their flanks
             return None
-        weights = _fit_weights(families, pulses_lit, light, step, stiffness)
+        weights = _fit_weights(families, pulses_lit, light, step, stiffness, span)
         description_of = np.array([np.interp(at, grid, weight) for weight in weights])
         spectra = np.add.reduceat(description_of * fine_light, first, axis=1) / bands.width_nm
-        measured = np.stack([pulse.mean(families, step) for pulse in pulses_lit], axis=1)
+        measured = np.stack([pulse.mean(families, step, span) for pulse in pulses_lit], axis=1)
         fitted = measured @ spectra
         wrong = np.abs(signals @ fitted.T - truth)
         errors = np.divide(wrong, reference * slack, out=np.zeros_like(wrong), where=reference > 0)
@@ -283,13 +297,13 @@ def fit(
     return None
 
 
-def _fit_weights(families: Array, pulses: list[Pulse], light: Array, step_nm: float, stiffness: float) -> Array:
+def _fit_weights(families: Array, pulses: list[Pulse], light: Array, step_nm: float, stiffness: float, span: Span) -> Array:
     """Return functions (pulses, G) whose sum, weighted by pulse means, fits the families; near linear interpolation."""
-    grid = grid_nm(step_nm)
+    grid = grid_nm(step_nm, span)
     power = np.maximum(np.trapezoid(families * light, dx=step_nm, axis=-1), np.finfo(float).tiny)
     scaled = families * (np.trapezoid(light, dx=step_nm) / power)[:, None]
     scaled[0] *= NEUTRAL_WEIGHT
-    measured = np.stack([pulse.mean(scaled, step_nm) for pulse in pulses], axis=1)
+    measured = np.stack([pulse.mean(scaled, step_nm, span) for pulse in pulses], axis=1)
     centroids = [float((pulse.nodes_nm * pulse.values).sum() / pulse.values.sum()) for pulse in pulses]
     plain = np.array([np.interp(grid, centroids, row) for row in np.eye(len(pulses))])
     left = measured.T @ measured / len(scaled) + stiffness * np.eye(len(pulses))

@@ -17,7 +17,7 @@ from pixsim.base.errors import did_you_mean, invalid, names_in
 from pixsim.base.files import digest_of
 from pixsim.light import spectral
 from pixsim.light.exr import read_channels
-from pixsim.light.spectral import HIGH_NM, LOW_NM, WHITE_LAMPS, Spectrum, grid_nm, tabulated
+from pixsim.light.spectral import HIGH_NM, LOW_NM, VISIBLE, WHITE_LAMPS, Span, Spectrum, grid_nm, tabulated
 from pixsim.optics.camera import Camera
 from pixsim.scene.mitsuba import evaluate_reflection, evaluate_spectrum
 from pixsim.scene.textures import EIGHT_BIT, check_share
@@ -202,13 +202,13 @@ def light_range_nm(lamps: Sequence[Lamp]) -> tuple[float, float] | None:
     return (float(min(low for low, _ in ends)), float(max(high for _, high in ends))) if ends else None
 
 
-def checked_lamps(lamps: list[Lamp]) -> list[Lamp]:
-    """Return the lamps that emit light. Raises PixsimError if a radiance is negative or not finite."""
+def checked_lamps(lamps: list[Lamp], span: Span = VISIBLE) -> list[Lamp]:
+    """Return the lamps that emit light in a range. Raises PixsimError if a radiance is negative or not finite."""
     for lamp in lamps:
         values = lamp.spectrum.values if lamp.spectrum else np.zeros(1)
         if not np.isfinite(values).all() or values.min() < 0:
             raise invalid("emitter", f"radiance {values.min():g}", "finite values of 0 or more")
-    return [lamp for lamp in lamps if lamp.spectrum is None or lamp.spectrum.integral() > 0]
+    return [lamp for lamp in lamps if lamp.spectrum is None or lamp.spectrum.integral(span.low_nm, span.high_nm) > 0]
 
 
 def white_of(state: Tree, lamps: list[Lamp], names: Sequence[str]) -> tuple[Spectrum, ...]:
@@ -237,7 +237,7 @@ def white_of(state: Tree, lamps: list[Lamp], names: Sequence[str]) -> tuple[Spec
             raise invalid(WHITE_LAMPS, f"'{name}', whose spectrum varies over it", "emitters with one spectrum each")
         power = lamp.pictures[index][1]
         spectra.append(lamp.spectrum * (power if isinstance(power, float) else 1.0))
-    if not sum(spectrum.integral() for spectrum in spectra) > 0:
+    if not sum(float(spectrum.values.max()) for spectrum in spectra) > 0:
         raise invalid(WHITE_LAMPS, f"'{', '.join(names)}', which are dark", "emitters with light")
     return tuple(spectra)
 
@@ -266,19 +266,25 @@ NEUTRAL_SPREAD = 1e-6
 class Surfaces:
     """The spectra of a scene's surfaces.
 
-    spectra : (n, 471) of single surfaces at 360 … 830 nm, without neutral ones; None if they are unknown
+    spectra : (n, G) of single surfaces on the range's grid of 1 nm, without neutral ones; None if they are unknown
     unknown : why they are unknown
     short : ranges of tables that end inside 360-830 nm; Mitsuba takes 0 outside
+    span : range that is computed
+    ending : surfaces that do not say what they are in all of the range, in words
+    held : (node, property) -> table in place of its own, which goes on to the ends of the range as it ends
     """
 
     spectra: Array | None = field(repr=False)
     unknown: str = ""
     short: tuple[str, ...] = ()
+    span: Span = VISIBLE
+    ending: tuple[str, ...] = ()
+    held: dict[tuple[int, str], Spectrum] = field(default_factory=dict, repr=False)
 
     def products(self, bounces: int) -> Array:
-        """Return the spectra of light after up to `bounces` surfaces (-1: any number), relative to the lamp, (m, 471)."""
+        """Return the spectra of light after up to `bounces` surfaces (-1: any number), relative to the lamp, (m, G)."""
         if self.spectra is None:
-            return np.zeros((0, grid_nm().size))
+            return np.zeros((0, grid_nm(span=self.span).size))
         single = self.spectra
         if bounces == 1 or not len(single):
             return single
@@ -290,64 +296,118 @@ class Surfaces:
         return np.vstack([single, *powers, *series, *([pairs[index] for index in spread] or [single[:0]])])
 
 
-def find_surfaces(state: Tree, variant: str) -> Surfaces:
-    """Return the spectra that BSDFs multiply light with, from the parsed tree."""
+Beyond = Literal["hold", "zero"]
+
+
+@dataclass
+class Ends:
+    """What is found of spectra that end within the range that is computed.
+
+    beyond : what they are there by the user's word; None if nobody says
+    short, ending, held : as of `Surfaces`; of tables with 0 beyond their ends `held` has them as they are
+    """
+
+    span: Span
+    beyond: Beyond | None
+    short: set[str] = field(default_factory=set)
+    ending: list[str] = field(default_factory=list)
+    held: dict[tuple[int, str], Spectrum] = field(default_factory=dict)
+
+    def on_grid(self, table: Spectrum, index: int, name: str, words: str) -> Array:
+        """Return a spectrum of a node's property on the grid of the range.
+
+        words : for the surface, in messages
+        """
+        low, high = float(table.nodes_nm[0]), float(table.nodes_nm[-1])
+        before = bool(low > self.span.low_nm and table.values[0] > 0)
+        after = bool(high < self.span.high_nm and table.values[-1] > 0)
+        if self.beyond == "hold" and (before or after):
+            nodes = [*[self.span.low_nm] * before, *table.nodes_nm, *[self.span.high_nm] * after]
+            values = [*[table.values[0]] * before, *table.values, *[table.values[-1]] * after]
+            table = self.held[index, name] = Spectrum(np.array(nodes), np.array(values))
+        elif self.beyond == "zero" and (before or after):  # Mitsuba's colours go on beyond their ends
+            self.held[index, name] = table
+        elif self.beyond is None:
+            if (low > LOW_NM and table.values[0] > 0) or (high < HIGH_NM and table.values[-1] > 0):
+                self.short.add(f"{low:g}-{high:g} nm")
+            if (before and self.span.low_nm < LOW_NM) or (after and self.span.high_nm > HIGH_NM):
+                self.ending.append(f"{words}, {low:g}-{high:g} nm")
+        return table.at(grid_nm(span=self.span))
+
+    def unknown_beyond(self, words: str) -> None:
+        """Note a surface of which no table says what it is outside 360-830 nm, nor can be made to."""
+        if self.span != VISIBLE:
+            self.ending.append(words)
+
+
+def find_surfaces(state: Tree, variant: str, span: Span = VISIBLE, beyond: Beyond | None = None) -> Surfaces:
+    """Return the spectra that BSDFs multiply light with, from the parsed tree.
+
+    span : range that is computed
+    beyond : what a spectrum that ends within the range is there: its last value, or 0; None: nobody says
+    """
     spectra: list[Array] = []
-    short: set[str] = set()
+    ends = Ends(span, beyond)
+
+    def found(known: Array | None, unknown: str = "") -> Surfaces:
+        if unknown:
+            ends.unknown_beyond(unknown)
+        return Surfaces(known, unknown, tuple(sorted(ends.short)), span, tuple(ends.ending), ends.held)
+
     if nodes_of(state, "Medium"):
-        return Surfaces(None, "a medium of unknown spectra")
-    for _, node in nodes_of(state, "BSDF"):
-        plugin = node.plugin
+        return found(None, "a medium of unknown spectra")
+    for index, node in nodes_of(state, "BSDF"):
+        plugin, words = node.plugin, f"'{node.id}'" if node.id and not node.id.startswith("_") else f"a {node.plugin}"
         if len(spectra) > MAX_SPECTRA:
-            return Surfaces(None, f"more than {MAX_SPECTRA} spectra of surfaces")
+            return found(None, f"more than {MAX_SPECTRA} spectra of surfaces")
         if plugin not in SPECTRA:
-            return Surfaces(None, f"a BSDF '{plugin}' of unknown spectra")
-        metal = _metal(state, node, variant) if plugin in METALS else []
+            return found(None, f"a BSDF '{plugin}' of unknown spectra")
+        metal = _metal(state, node, variant, span) if plugin in METALS else []
         if metal is None:
-            return Surfaces(None, f"an unknown refractive index of {plugin}")
+            return found(None, f"an unknown refractive index of {plugin}")
+        if metal:
+            ends.unknown_beyond(f"the metal of {words}")
         spectra += metal
         for name in SPECTRA[plugin]:
             if name in node:
-                colours = _property(state, node, name, variant, short)
+                colours = _property(state, index, name, variant, ends, f"{name} of {words}")
                 if colours is None:
-                    return Surfaces(None, f"an unknown texture of {plugin}.{name}")
+                    return found(None, f"an unknown texture of {plugin}.{name}")
                 spectra += [*colours, *(rho / (1 - INTERNAL_REFLECTION * rho) for rho in colours if plugin in INSIDE)]
                 spectra += [rho * fresnel for rho in colours for fresnel in metal]
     coloured = [rho for rho in spectra if np.ptp(rho) > NEUTRAL_SPREAD * max(rho.max(), 1.0)]
     unique = {rho.round(9).tobytes(): rho for rho in coloured}
-    return Surfaces(np.array(list(unique.values())).reshape(-1, grid_nm().size), "", tuple(sorted(short)))
+    return found(np.array(list(unique.values())).reshape(-1, grid_nm(span=span).size))
 
 
-def _property(state: Tree, node: Node, name: str, variant: str, short: set[str]) -> list[Array] | None:
+def _property(state: Tree, at: int, name: str, variant: str, ends: Ends, words: str) -> list[Array] | None:
     """Return the spectra that a property of a node may have: none if it is neutral, None if they are unknown."""
+    node = state.nodes[at]
     kind = node.kind_of(name)
     if kind in ("Float", "Integer"):
         return []
     if kind == "Color":
         value = numbers(node.text_of(name))
-        return [evaluate_spectrum({"type": "rgb", "value": value}, variant)] if np.ptp(value) else []
+        if not np.ptp(value):
+            return []
+        colour = tabulated(evaluate_spectrum({"type": "rgb", "value": value}, variant))
+        return [ends.on_grid(colour, at, name, f"{words}, an RGB colour")]
     if kind == "Spectrum":
         value = node[name]
-        return [] if value.uniform else [_table(parsed_table(value), short)]
+        return [] if value.uniform else [ends.on_grid(parsed_table(value), at, name, words)]
     if kind not in ("Reference", "ResolvedReference"):
         return None
-    texture = state.nodes[children(node, state)[name]]
+    child = children(node, state)[name]
+    texture = state.nodes[child]
     plugin = texture.plugin
     if plugin == "uniform" or is_neutral(texture):
         return []
     if (table := table_of(texture)) is not None:
-        return [_table(table, short)]
+        return [ends.on_grid(table, at, name, words)]
     if plugin == "checkerboard":
-        parts = [_property(state, texture, colour, variant, short) for colour in ("color0", "color1") if colour in texture]
+        parts = [_property(state, child, colour, variant, ends, words) for colour in ("color0", "color1") if colour in texture]
         return None if any(part is None for part in parts) else [rho for part in parts for rho in part or []]
     return None
-
-
-def _table(table: Spectrum, short: set[str]) -> Array:
-    low, high = float(table.nodes_nm[0]), float(table.nodes_nm[-1])
-    if (low > LOW_NM and table.values[0] > 0) or (high < HIGH_NM and table.values[-1] > 0):
-        short.add(f"{low:g}-{high:g} nm")
-    return table.at(grid_nm())
 
 
 def _spectrum_dict(table: Table) -> dict[str, Any]:
@@ -358,7 +418,7 @@ def _spectrum_dict(table: Table) -> dict[str, Any]:
     return {"type": "irregular", **columns}
 
 
-def _metal(state: Tree, node: Node, variant: str) -> list[Array] | None:
+def _metal(state: Tree, node: Node, variant: str, span: Span) -> list[Array] | None:
     """Return the Fresnel reflectances of a conductor at several angles, from Mitsuba; None if its index is unknown."""
     described: dict[str, Any] = {"type": "conductor"}
     values, textures = dict(plain(node)), children(node, state)
@@ -370,7 +430,7 @@ def _metal(state: Tree, node: Node, variant: str) -> list[Array] | None:
             if texture.plugin not in ("uniform", "regular", "irregular"):
                 return None
             described[key] = {"type": texture.plugin, **dict(plain(texture))}
-    return [evaluate_reflection(described, cosine, variant) for cosine in METAL_COSINES]
+    return [evaluate_reflection(described, cosine, variant, span) for cosine in METAL_COSINES]
 
 
 MIN_VOLUME = 1e-200  # of a transformed unit cube

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base.errors import PixsimError
-from pixsim.light.spectral import grid_nm
+from pixsim.light.spectral import VISIBLE, Span, grid_nm
 
 WAVELENGTHS = 4  # of a ray in Mitsuba's spectral variants
 
@@ -35,14 +35,21 @@ class Lamps:
 class Passes:
     """The passes of a light that are traced together.
 
-    step_nm : of the grid from 360 to 830 nm on which the pulses are
+    step_nm : of the grid of the range that is computed, on which the pulses are
     pulses : (index of the first node, values) of spectral responses of unit area
     groups : the pulses of each pass, 1, 2 or 4, of which some may be the same
+    span : range that is computed
     """
 
     step_nm: float
     pulses: tuple[tuple[int, tuple[float, ...]], ...]
     groups: tuple[tuple[int, ...], ...]
+    span: Span = VISIBLE
+
+    @property
+    def nodes(self) -> int:
+        """Number of nodes of the grid."""
+        return grid_nm(self.step_nm, self.span).size
 
     @property
     def lanes(self) -> NDArray[np.intp]:
@@ -58,7 +65,7 @@ class Passes:
     @property
     def densities(self) -> NDArray[np.float64]:
         """The pulses on the whole grid, (pulses, nodes) nm⁻¹."""
-        whole = np.zeros((len(self.pulses), grid_nm(self.step_nm).size))
+        whole = np.zeros((len(self.pulses), self.nodes))
         for row, (first, values) in zip(whole, self.pulses, strict=True):
             row[first : first + len(values)] = values
         return whole
@@ -108,6 +115,12 @@ class Job:
     def of_scenes(self) -> tuple[object, ...]:
         """What Mitsuba's scenes and integrators depend on."""
         return self.variant, self.text, self.files, self.lamps, self.integrator, self.tables
+
+
+def irregular(nodes_nm: Iterable[float], values: Iterable[float]) -> dict[str, Any]:
+    """Describe a spectrum with steps of any size."""
+    columns = {"wavelengths": nodes_nm, "values": values}
+    return {"type": "irregular"} | {name: ", ".join(repr(float(one)) for one in own) for name, own in columns.items()}
 
 
 def regular(low_nm: float, high_nm: float, values: Iterable[float]) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from pixsim.base import cache
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.records import content_hash
-from pixsim.light.spectral import grid_nm
+from pixsim.light.spectral import VISIBLE, Span, grid_nm
 from pixsim.scene.variants import graphics
 from pixsim.scene.variants.variant import UNUSABLE_HINT
 
@@ -140,8 +140,8 @@ def evaluate_spectrum(description: dict[str, Any], variant: str) -> Array:
     return cache.load_or_compute("spectra", key, read, compute, lambda values: {"values": values.tolist()})
 
 
-def evaluate_reflection(description: dict[str, Any], cosine: float, variant: str) -> Array:
-    """Return the reflectance of a smooth conductor at an angle to its normal, at 360 … 830 nm in steps of 1 nm."""
+def evaluate_reflection(description: dict[str, Any], cosine: float, variant: str, span: Span = VISIBLE) -> Array:
+    """Return the reflectance of a smooth conductor at an angle to its normal, over a range in steps of 1 nm."""
     with speaking_mitsuba(variant) as mi:
         bsdf, context = mi.load_dict(description), mi.BSDFContext()
         towards = [math.sqrt(1 - cosine**2), 0.0, cosine]
@@ -150,14 +150,16 @@ def evaluate_reflection(description: dict[str, Any], cosine: float, variant: str
             interaction.wi = mi.Vector3f(*towards)
             return bsdf.sample(context, interaction, 0.5, mi.Point2f(0.5, 0.5))[1]
 
-        return _at_each_wavelength(mi, variant, reflected)
+        return _at_each_wavelength(mi, variant, reflected, span)
 
 
-def _at_each_wavelength(mi: ModuleType, variant: str, value: Callable[[SurfaceInteraction3f], Spectrum]) -> Array:
-    """Evaluate `value` for surface interactions that differ in wavelength only, (471,)."""
+def _at_each_wavelength(
+    mi: ModuleType, variant: str, value: Callable[[SurfaceInteraction3f], Spectrum], span: Span = VISIBLE
+) -> Array:
+    """Evaluate `value` for surface interactions that differ in wavelength only, (G,) over a range in steps of 1 nm."""
     import drjit as dr
 
-    wavelengths = grid_nm()
+    wavelengths = grid_nm(span=span)
     rows = np.resize(wavelengths, (-(-wavelengths.size // 4), 4))  # a ray of Mitsuba has four wavelengths
     if variant.startswith("scalar"):
         values = []

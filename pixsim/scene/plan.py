@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, astuple, dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
 
 from pixsim.base.arguments import Count, Positive, checks_arguments, checks_fields
 from pixsim.base.arrays import Array
-from pixsim.base.caller import setting
+from pixsim.base.caller import parameter, setting
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.light.quantities import FilmSamples
 from pixsim.light.spectral import (
     HIGH_NM,
     LAMP,
+    LEAST_LM_PER_W,
     LOW_NM,
+    VISIBLE,
     WHITE_LAMPS,
+    WIDEST,
+    Span,
     Spectrum,
     colour_matching,
     photons_per_joule,
@@ -42,7 +46,7 @@ from pixsim.sensor.collection import check_efficiency, half_sizes_um, scale_erro
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import pixels_on
 from pixsim.sensor.noise import SOURCES
-from pixsim.sensor.outside import SHOWN_SHARE, outside_header, outside_hint, outside_share, outside_words
+from pixsim.sensor.outside import SHOWN_SHARE, outside_header, outside_hint, outside_share, outside_words, span_of
 from pixsim.sensor.photodiode import LINEAR_WITHIN, linear_limit_e
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
@@ -96,6 +100,8 @@ class Plan:
     ends : whether the scene ends with the film, above and below, and at the left and the right: there a margin mirrors the film
     outside : entry of an irradiance's header on the lamps' light outside 360-830 nm; empty if there is none
     defocus : what the thin lens's defocus is off at depths of the scene behind a real lens, largest errors first
+    white_w_per_m2_sr : radiance of texel value 1 of an emissive chart whose light has no luminance, or None
+    held : (node, property, spectrum) of tables of surfaces that go on beyond their ends, as `beyond_tables = "hold"` has it
     """
 
     lights: tuple[Light, ...]
@@ -123,6 +129,8 @@ class Plan:
     defocus: tuple[Defocus, ...] = ()
     ends: tuple[bool, bool] = (False, False)
     outside: dict[str, Any] = field(default_factory=dict, repr=False)
+    held: tuple[tuple[int, str, Spectrum], ...] = field(default=(), repr=False)
+    white_w_per_m2_sr: float | None = None
 
     @checks_arguments
     def camera_of(self, camera: Camera) -> Camera:
@@ -285,15 +293,19 @@ def make_render_plan(
     height, width = (max(1, side) for side in scene.film_shape(seen, state))  # the renderer checks the size
     bodies = find_bodies(state, sensor)
     every_lamp = find_lamps(state, scene.choice.reading)
-    lamps = checked_lamps(every_lamp)
+    emitted = [lamp.spectrum for lamp in every_lamp if lamp.spectrum is not None]
+    seeing = [derive(one) for one in pixels or _packaged_pixels()]
+    span = span_of(emitted, seeing)
+    lamps = checked_lamps(every_lamp, span)
     white = white_of(state, every_lamp if scene.white_lamps else lamps, scene.white_lamps)
-    surfaces = find_surfaces(state, scene.choice.reading)
+    surfaces = find_surfaces(state, scene.choice.reading, span, scene.beyond_tables)
     if not lamps:
         raise _no_light(every_lamp)
-    emitted = [lamp.spectrum for lamp in every_lamp if lamp.spectrum is not None]
+    if surfaces.ending and not scene.beyond_tables:
+        raise _unknown_beyond(surfaces)
     integrator, met, bounces = rules.decide_bounces(state, bodies, full)
     lights, bands, full_passes, spectral = _lights(
-        lamps, surfaces, met, _witnesses(pixels), tolerance_e, full, band_count, any(one.colour for one in pixels)
+        lamps, surfaces, met, _witnesses(seeing), tolerance_e, full, band_count, any(one.colour for one in pixels)
     )
     by_index, tables = rules.decide_tables(state, full)
     lens, focus = rules.decide_lens(state, seen, bodies, width / height, pixels[0] if pixels else None, tolerance_e, full)
@@ -307,7 +319,9 @@ def make_render_plan(
     explicit = "spp" in scene.parameters
     finer = (width / max(1, film_size(state, sensor)[1])) ** 2
     spp, sampler, samples = rules.decide_samples(chart, scene_spp, passes, tolerance_e, full, explicit, finer)
-    diffraction = rules.decide_diffraction(chart, camera, 1e3 * camera.die_mm / width, tolerance_e, full or tiling is not None)
+    diffraction = rules.decide_diffraction(
+        chart, camera, 1e3 * camera.die_mm / width, tolerance_e, full or tiling is not None, span.high_nm
+    )
     bound_e = sum(decision.bound_e for decision in (*spectral, focus, diffraction))
     defocus: list[Defocus] = []
     if tiling is not None and focus.kept:
@@ -319,19 +333,27 @@ def make_render_plan(
         warnings.append(f"reflectance tables cover only {ranges}, and Mitsuba takes 0 outside; extend them to 360-830 nm")
     if note := shutter_note(sensor):
         warnings.append(note)
-    outside = outside_header(emitted)
+    if surfaces.ending:
+        warnings.append(f"outside {VISIBLE.words} these are what Mitsuba makes of them: {_named(surfaces.ending)}")
+    outside = outside_header(emitted, span)
+    ended = [lamp for lamp in emitted if lamp.nodes_nm[-1] <= HIGH_NM and lamp.values[-1] > ENDS_LIT * lamp.values.max()]
+    if ended and span.high_nm > HIGH_NM:
+        shortest = min(float(lamp.nodes_nm[-1]) for lamp in ended)
+        warnings.append(f"the light of a lamp ends at {shortest:g} nm, where it is not 0: it is taken as 0 beyond")
     left_out = max((outside_share(outside, derive(one)) for one in pixels), default=0.0)
     if left_out > SHOWN_SHARE:
-        warnings.append(f"{outside_words(left_out)}: {outside_hint()}")
+        warnings.append(f"{outside_words(left_out, span)}: {outside_hint()}")
     if bound_e > tolerance_e:
         limits = f"bands reach their limit of {spectral_bands.NARROWEST_BAND_NM:g} nm or {spectral_bands.MAX_BANDS} bands"
         warnings.append(f"the error of mean electrons is up to {bound_e:.1e}, above the tolerance {tolerance_e:g}: {limits}")
     emitters = nodes_of(state, "Emitter")
     alone = len(emitters) == 1 and len(bodies) == 1 and emitters[0][1].plugin == "area" and bool(lamps)
+    luminance, radiance = _white_of_chart(lamps[0], span) if alone else (None, None)
     plan = Plan(
         lights=tuple(lights),
         bands=bands,
-        white_cd_per_m2=lamps[0].luminance_cd_per_m2 if alone and lamps[0].spectrum else None,
+        white_cd_per_m2=luminance,
+        white_w_per_m2_sr=radiance,
         lens=lens,
         integrator=integrator,
         spp=spp,
@@ -352,15 +374,52 @@ def make_render_plan(
         defocus=tuple(defocus),
         ends=ends,
         outside=outside,
+        held=tuple((index, name, table) for (index, name), table in surfaces.held.items()),
     )
     return _without_samples(plan) if exact and not full else plan
+
+
+ENDS_LIT = 1e-3  # of its largest value: a lamp's table that ends with less ends dark
+
+
+def _packaged_pixels() -> list[Pixel]:
+    """Return pixels of the packaged response curves, which stand for those that nobody states."""
+    return [Pixel(technology=name, pitch_um=10.0) for name in RESPONSES]
+
+
+def _unknown_beyond(surfaces: Surfaces) -> PixsimError:
+    """Return the error for surfaces of which nobody says what they are in all of the range that is computed."""
+    got = f"{_named(surfaces.ending)}, under a lamp with light that the sensor sees in {surfaces.span.words}"
+    allowed = f"tables of reflectance that cover {surfaces.span.words}"
+    hint = (
+        f"Extend them; or state {parameter('beyond_tables', 'hold')} or 'zero'; or keep that light out "
+        f"({setting('pixel.infrared_cut_nm', HIGH_NM)})."
+    )
+    return invalid("scene", got, allowed, hint)
+
+
+NAMED = 4  # surfaces, in a message
+
+
+def _named(surfaces: Sequence[str]) -> str:
+    """Return the first of some surfaces, as text."""
+    return "; ".join(surfaces[:NAMED]) + f"; and {len(surfaces) - NAMED} more" * (len(surfaces) > NAMED)
+
+
+def _white_of_chart(lamp: Lamp, span: Span) -> tuple[float | None, float | None]:
+    """Return the luminance of texel value 1 of a chart's lamp, or the radiance of light without one; the other is None."""
+    if lamp.spectrum is None:
+        return None, None
+    luminance, radiance = lamp.luminance_cd_per_m2, lamp.spectrum.integral(*astuple(span))
+    return (luminance, None) if luminance > LEAST_LM_PER_W * radiance else (None, radiance)
 
 
 def _no_light(lamps: Sequence[Lamp]) -> PixsimError:
     """Return the error for a scene without light in the range that is computed."""
     if ends := light_range_nm(lamps):
-        got, allowed = f"light from {ends[0]:g} to {ends[1]:g} nm only", f"light within {LOW_NM:g}-{HIGH_NM:g} nm"
-        hint = "pixsim computes no other light, and nobody would see it: choose a lamp with light in that range."
+        got = f"light from {ends[0]:g} to {ends[1]:g} nm only"
+        allowed = f"light within {LOW_NM:g}-{HIGH_NM:g} nm, or within {WIDEST.words} where the sensor sees it"
+        hint = "Choose a lamp with light in that range, or a sensor without an infrared cut (pixel.infrared_cut_nm)."
         return invalid("scene", got, allowed, hint)
     return invalid("scene", "no emitter with light", "a lamp, a chart or a sky with light", "Check that its scale is above 0.")
 
@@ -376,12 +435,11 @@ def _without_samples(plan: Plan) -> Plan:
     return replace(plan, spp=0, exact=True, decisions=tuple(exact if d.subject == exact.subject else d for d in plan.decisions))
 
 
-def _witnesses(pixels: Sequence[Pixel]) -> list[Witness]:
+def _witnesses(derived: Sequence[PixelPhysics]) -> list[Witness]:
     """Return the responses that the bands must reproduce: electrons per joule of the pixels, and the luminance.
 
     Of colour sensors, those of each channel, and XYZ.
     """
-    derived = [derive(one) for one in pixels or [Pixel(technology=name, pitch_um=10.0) for name in RESPONSES]]
 
     def response(physics: PixelPhysics) -> spectral_bands.Response:
         return lambda nm: physics.quantum_efficiency(nm) * photons_per_joule(nm)
@@ -411,9 +469,9 @@ def _lights(
     spectra = [lamp.spectrum for lamp in lamps if lamp.spectrum]
     met = surfaces.products(bounces) if bounces else surfaces.products(1)[:0]
     if band_count:
-        bands = spectral_bands.equal_bands(band_count, spectra)
+        bands = spectral_bands.equal_bands(band_count, spectra, surfaces.span)
     else:
-        bands = spectral_bands.place_bands(spectra, met, witnesses, tolerance_e * BANDS_SHARE)
+        bands = spectral_bands.place_bands(spectra, met, witnesses, tolerance_e * BANDS_SHARE, surfaces.span)
     known = surfaces.spectra is not None or bounces == 0
     lights, reasons, most, alone = [], [], 0, 0.0
     stiffness = spectral_bands.COLOUR_STIFFNESS if in_colour else spectral_bands.STIFFNESS
@@ -422,7 +480,7 @@ def _lights(
         most += len(every.passes)
         fitted: Fit | None = None
         if lamp.spectrum:
-            errors = spectral_bands.band_errors(bands, spectral_bands.resolved(lamp.spectrum, met), witnesses)
+            errors = spectral_bands.band_errors(bands, spectral_bands.resolved(lamp.spectrum, met, surfaces.span), witnesses)
             alone = max(alone, float(np.abs(errors.sum(axis=2)).max()))
             if known and not full:
                 fitted = spectral_bands.fit(lamp.spectrum, bands, met, witnesses, tolerance_e * SPECTRUM_SHARE, stiffness)
@@ -430,7 +488,7 @@ def _lights(
         count = len(lights[-1].fit.pulses)
         reasons.append(f"{count} pulse{'s' * (count > 1)}" if fitted else f"{count} bands")
     widths = bands.width_nm
-    uniform = bool(np.all(np.isin(widths, (5.0, 10.0)))) and widths.size == spectral_bands.BAND_EDGES_NM.size - 1
+    uniform = bool(np.all(np.isin(widths, (5.0, 10.0)))) and widths.size == spectral_bands.band_edges_nm(surfaces.span).size - 1
     sizes = "uniform, 10 nm" if uniform else f"{widths.min():g} to {widths.max():g} nm, finer where lamps or surfaces change"
     reason_of_bands = f"{widths.size} bands, {sizes}, pulses shaped like the lamp, so that no line is missed"
     placing = Decision("wavelength bands", True, reason_of_bands, bound_e=alone)

@@ -23,7 +23,7 @@ from pixsim.base.notes import warn
 from pixsim.base.progress import Progress
 from pixsim.base.records import content_hash
 from pixsim.base.version import VERSION
-from pixsim.light.spectral import LOW_NM, RINGS, WHOLE, SpectralImage
+from pixsim.light.spectral import RINGS, VISIBLE, WHITE_RADIANCE, WHOLE, Span, SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import LENS_HEADER, distortion_of, rendered_camera
 from pixsim.optics.camera_light import camera_factor
@@ -31,7 +31,7 @@ from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.scene.bands import Fit, Pulse
 from pixsim.scene.contents import named_files
 from pixsim.scene.guard.tracer import Tracer, tracer_of
-from pixsim.scene.job import Job, Lamps, Passes, regular
+from pixsim.scene.job import Job, Lamps, Passes, irregular, regular
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.rules import SAMPLE_COUNTS, irregular_tables
 from pixsim.scene.scene import Scene, check_resolution, hash_of_tree, is_packaged, sensor_node
@@ -50,13 +50,13 @@ def film_response(pulse: Pulse) -> dict[str, Any]:
     return regular(pulse.low_nm, pulse.high_nm, pulse.values)
 
 
-def passes_of(fit: Fit) -> Passes | None:
-    """Return the passes of a light; None if there is one, or none, which nothing can be shared with."""
+def passes_of(fit: Fit, span: Span = VISIBLE) -> Passes | None:
+    """Return the passes of a light in a range; None if there is one, or none, which nothing can be shared with."""
     if len(fit.passes) < 2:
         return None
     step_nm = fit.pulses[0].step_nm
-    pulses = tuple((round((pulse.low_nm - LOW_NM) / step_nm), tuple(pulse.values.tolist())) for pulse in fit.pulses)
-    return Passes(step_nm, pulses, tuple(map(tuple, fit.passes)))
+    pulses = tuple((round((pulse.low_nm - span.low_nm) / step_nm), tuple(pulse.values.tolist())) for pulse in fit.pulses)
+    return Passes(step_nm, pulses, tuple(map(tuple, fit.passes)), span)
 
 
 Pictures = list[NDArray[np.float32]]
@@ -69,11 +69,12 @@ def hash_of_job(scene: Scene, state: Tree, camera: Camera, plan: Plan, seed: int
     for light in plan.lights:
         pulses = [[pulse.low_nm, pulse.high_nm, pulse.values.tolist()] for pulse in light.fit.pulses]
         lights.append([light.lamp.spectrum is None, sorted(light.lamp.pictures.items()), pulses, light.fit.passes])
-    settings = [plan.lens, plan.integrator, plan.spp, plan.sampler, plan.regular_tables]
+    settings: list[Any] = [plan.lens, plan.integrator, plan.spp, plan.sampler, plan.regular_tables]
     tree, version = hash_of_tree(state), cache.version_fingerprint("mitsuba", "drjit")
     size = scene.film_shape(camera, state)
     margin = plan.margin(size, 1e3 * camera.die_mm / size[1])
     settings += [margin, *plan.ends] if margin else []
+    settings.extend([index, name, table.nodes_nm.tolist(), table.values.tolist()] for index, name, table in plan.held)
     return content_hash(
         [tree, size, scene.sensor_id, scene.choice.variant, camera.without_veil.model_dump(), lights, settings, seed, version]
     )
@@ -218,7 +219,8 @@ class Renderer:
             (index, name, regular(float(table.nodes_nm[0]), float(table.nodes_nm[-1]), values))
             for (index, name), (table, values) in equal_steps.items()
         )
-        passes = tuple(passes_of(light.fit) for light in plan.lights)
+        tables += tuple((index, name, irregular(table.nodes_nm, table.values)) for index, name, table in plan.held)
+        passes = tuple(passes_of(light.fit, plan.bands.span) for light in plan.lights)
         files = tuple(digest_of(path) for path in named_files(state))
         self.job = Job(scene.choice.variant, text.text, lamps, sensor, lens, plan.integrator, tables, self.field, passes, files)
         self.packaged, self.ends_at_s = is_packaged(text), ends_at_s
@@ -461,4 +463,6 @@ def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) ->
     header |= plan.white_header(plan.bands.edges_nm)
     if white := scene.white_cd_per_m2 or plan.white_cd_per_m2:
         header["luminance_cd_per_m2"] = float(f"{white:.9g}")
+    elif plan.white_w_per_m2_sr:
+        header[WHITE_RADIANCE] = float(f"{plan.white_w_per_m2_sr:.9g}")
     return header

@@ -475,14 +475,16 @@ def decide_samples(
     return most, sampler, Decision(subject, True, reason)
 
 
-def decide_diffraction(chart: Chart | None, camera: Camera, pitch_um: float, tolerance_e: float, full: bool) -> Decision:
+def decide_diffraction(
+    chart: Chart | None, camera: Camera, pitch_um: float, tolerance_e: float, full: bool, longest_nm: float = HIGH_NM
+) -> Decision:
     """Leave out diffraction if it changes no sample of a chart by more than its share, at the longest wavelength."""
-    disc_um = AIRY_DIAMETER * HIGH_NM / 1e3 * camera.effective_f_number
+    disc_um = AIRY_DIAMETER * longest_nm / 1e3 * camera.effective_f_number
     reason = f"Airy disc up to {disc_um:.3g} µm"
     if chart is None or full:
         return Decision("diffraction", True, f"{reason}; its effect is unknown before rendering" if not full else reason)
     allowed = tolerance_e * DIFFRACTION_SHARE
-    effect = diffraction_effect(chart, pitch_um, np.array([HIGH_NM]), np.ones(1), camera.effective_f_number, allowed)
+    effect = diffraction_effect(chart, pitch_um, np.array([longest_nm]), np.ones(1), camera.effective_f_number, allowed)
     if effect > allowed:
         return Decision("diffraction", True, f"{reason}; changes a sample of this chart by {effect:.1%}")
     reason += f"; changes no sample of this chart by more than {effect:.1e}"

@@ -25,7 +25,7 @@ from pixsim.optics.camera import Camera, CameraOptions, values_of_lens_geometry
 from pixsim.optics.camera_lens import camera_with_lens
 from pixsim.optics.lens_options import LensOptions
 from pixsim.scene import charts
-from pixsim.scene.contents import check_textures, check_transforms, find_lamp, find_lamps, is_neutral, named_files, white_of
+from pixsim.scene.contents import Beyond, check_textures, check_transforms, find_lamp, find_lamps, is_neutral, named_files, white_of
 from pixsim.scene.film import FILM_ROUNDING
 from pixsim.scene.guard.inspector import REASONS, SceneText, open_scene
 from pixsim.scene.illuminance import ILLUMINANCE, strength
@@ -36,7 +36,7 @@ from pixsim.scene.variants import variant as variants
 from pixsim.viewer.display_options import Luminance
 from pixsim.viewer.setting import Run
 
-CHART, CHART_LINEAR, TARGET_FILE = "chart", "chart_linear", "target.exr"
+CHART, CHART_LINEAR, TARGET_FILE, BEYOND_TABLES = "chart", "chart_linear", "target.exr", "beyond_tables"
 # Parameters that only pixsim reads, of the packaged charts that have some.
 PARAMETERS_OF_CHARTS = {"csf.exr": (charts.MAX_LP_PER_MM,), TARGET_FILE: tuple(Target.model_fields)}
 CHART_HALF_WIDTH, CHART_HALF_HEIGHT = "chart_half_width", "chart_half_height"
@@ -62,6 +62,8 @@ class Scene:
     white_lamps : ids of the emitters whose light together is that of white, if the file names them in its <default> white_lamps
     shows_csf : whether its chart is the packaged CSF chart, whose highest frequency the parameter `max_lp_per_mm` sets
     shows_target : whether its chart is a target, which parameters set and `for_camera` draws on the cells of the film
+    beyond_tables : what a surface is where its spectrum ends within the range that is computed: "hold" its last value, or
+        "zero"; None: nobody says
     strength : factor on all lamps that the parameter `lux` asks for
     own_chart : a picture that takes the place of the parameter `chart`, which names it
     resolution : film samples across the die, in place of the film's width in the XML
@@ -80,6 +82,7 @@ class Scene:
     shows_csf: bool = False
     shows_target: bool = False
     strength: float | None = None
+    beyond_tables: Beyond | None = None
     _texts: dict[str, SceneText] = field(default_factory=dict, repr=False, compare=False)
 
     @checks_arguments
@@ -212,7 +215,8 @@ class Scene:
         """The parameters for a header: files by their name, without the folder."""
         files = {name: Path(value).name for name, value in self.parameters.items() if os.sep in value}
         linear = {CHART_LINEAR: "1"} if self.own_chart and self.own_chart.linear else {}
-        return self.parameters | files | linear
+        beyond = {BEYOND_TABLES: self.beyond_tables} if self.beyond_tables else {}
+        return self.parameters | files | linear | beyond
 
     @property
     def content_hash(self) -> str:
@@ -290,7 +294,8 @@ def load_scene(
         scene with a <default> `lux`, which only pixsim reads, `lux` scales all lamps and the luminance of white by one factor;
         `max_lp_per_mm` sets the highest frequency on the sensor of the CSF chart, and the fields of `scene.target.Target` set
         what the scene target shows, on a background of `luminance_cd_per_m2`; `chart` may name a picture
-        (`scene.own_chart.read_luminance`), decoded as sRGB unless `chart_linear` is true
+        (`scene.own_chart.read_luminance`), decoded as sRGB unless `chart_linear` is true; `beyond_tables`, "hold" or "zero", says
+        what surfaces are where lamps shine and their spectra end
 
     Raises PixsimError if the file or a texture is missing or damaged, a parameter is unknown, there is no sensor or more than
     one, the sensor is not a thin lens, or LLVM is too old.
@@ -303,6 +308,7 @@ def load_scene(
     lamps = parameters.pop(WHITE_LAMPS, None)
     highest = parameters.pop(charts.MAX_LP_PER_MM, None)
     linear = _flag(CHART_LINEAR, parameters.pop(CHART_LINEAR, False))
+    beyond = _beyond(parameters.pop(BEYOND_TABLES, None))
     given = {name: str(value) for name, value in parameters.items()}
     picture = _picture_of_chart(path, given)
     text = open_scene(path, given, picture)
@@ -351,7 +357,7 @@ def load_scene(
     texts = {_key_of_text(given, None): text} if picture is None and path == path.resolve() else {}
     loaded = Scene(path.resolve(), given, names, sensor, choice, shown_white, shows_csf=own_chart == "csf.exr", _texts=texts)
     loaded = _with_target(loaded) if own_chart == TARGET_FILE else loaded
-    loaded = _with_own_chart(loaded, text, picture, linear)
+    loaded = replace(_with_own_chart(loaded, text, picture, linear), beyond_tables=beyond)
     state = loaded.parse()
     white_lamps = tuple(dict.fromkeys(str((file_lamps if lamps is None else lamps) or "").replace(",", " ").split()))
     if white_lamps:
@@ -412,6 +418,12 @@ def _with_target(scene: Scene) -> Scene:
     shown = replace(scene, shows_target=True, names=scene.names.union(Target.model_fields))
     _ = shown.target  # raises for wrong parameters
     return shown
+
+
+def _beyond(value: object) -> Beyond | None:
+    if value is None or value == "hold" or value == "zero":
+        return value
+    raise invalid(f"scene.{BEYOND_TABLES}", brief(value), "'hold' or 'zero'")
 
 
 def _flag(name: str, value: object) -> bool:

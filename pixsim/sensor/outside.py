@@ -1,4 +1,7 @@
-"""Light of lamps outside 360-830 nm, the range that is computed: how much of what a sensor would see is left out."""
+"""Light of lamps outside the range that is computed, 360-830 nm or more: how much of what a sensor would see is left out.
+
+The range grows to 300-1100 nm where lamps have light there that a sensor sees (`span_of`).
+"""
 
 from __future__ import annotations
 
@@ -6,30 +9,61 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
-from pixsim.light.spectral import HIGH_NM, LOW_NM, Spectrum, photons_per_joule
+from pixsim.light.spectral import HIGH_NM, LOW_NM, VISIBLE, WIDEST, Span, Spectrum, photons_per_joule
 from pixsim.sensor.pixel import PixelPhysics
 
 OUTSIDE = "lamps_300_to_1110_nm_in_10"  # entry of an irradiance's header: mean power in each cell, for each lamp with light outside
 # From where lenses transmit to where silicon ends: its gap of 1.12 eV is 1107 nm. 360 and 830 nm are edges.
 EDGES_NM = np.arange(300.0, 1111.0, 10.0)
 CENTRES_NM = (EDGES_NM[1:] + EDGES_NM[:-1]) / 2
-INSIDE = (CENTRES_NM > LOW_NM) & (CENTRES_NM < HIGH_NM)
+COMPUTED = "computed_nm"  # entry of an irradiance's header: the range that is computed, where it is not 360-830 nm
+SEEN_BEYOND = 1e-4  # of a lamp's electrons: with less of them outside 360-830 nm, the range stays that
 SHOWN_SHARE = 0.01  # of a lamp's light in the sensor's response
 DIGITS = 6
 
 
-def outside_header(lamps: Sequence[Spectrum]) -> dict[str, Any]:
-    """Return the entry of an irradiance's header on lamps with light outside 360-830 nm; none if there are none."""
+def inside(span: Span) -> NDArray[np.bool_]:
+    """Return which cells lie in a range, (cells,)."""
+    return np.asarray((span.low_nm < CENTRES_NM) & (span.high_nm > CENTRES_NM))
+
+
+def span_of(lamps: Sequence[Spectrum], pixels: Sequence[PixelPhysics]) -> Span:
+    """Return the range to compute: 360-830 nm, and on either side what lamps emit there and one of the pixels sees."""
+    low, high = VISIBLE.low_nm, VISIBLE.high_nm
+    for lamp in lamps:
+        cells = lamp.cell_means(EDGES_NM)
+        if not cells[~inside(VISIBLE)].any():
+            continue
+        for channel in (channel for physics in pixels for channel in physics.channels):
+            electrons = cells * _response(channel)
+            least = SEEN_BEYOND * float(electrons.sum())
+            low = WIDEST.low_nm if electrons[CENTRES_NM < LOW_NM].sum() > least else low
+            high = WIDEST.high_nm if electrons[CENTRES_NM > HIGH_NM].sum() > least else high
+    return Span(low, high)
+
+
+def outside_header(lamps: Sequence[Spectrum], span: Span = VISIBLE) -> dict[str, Any]:
+    """Return entries of an irradiance's header on lamps with light outside the range that is computed; none if there are none."""
+    computed = {} if span == VISIBLE else {COMPUTED: [span.low_nm, span.high_nm]}
     cells = [lamp.cell_means(EDGES_NM) for lamp in lamps]
-    beyond = [[float(f"{value:.{DIGITS}g}") for value in each] for each in cells if each[~INSIDE].any()]
-    return {OUTSIDE: beyond} if beyond else {}
+    beyond = [[float(f"{value:.{DIGITS}g}") for value in each] for each in cells if each[~inside(span)].any()]
+    return computed | ({OUTSIDE: beyond} if beyond else {})
+
+
+def computed_span(header: Mapping[str, Any]) -> Span:
+    """Return the range that an irradiance's header states as computed; that of a file of another program may hold anything."""
+    ends = header.get(COMPUTED)
+    if isinstance(ends, list) and len(ends) == 2 and all(isinstance(end, float) for end in ends):
+        return Span(*ends)
+    return VISIBLE
 
 
 def outside_share(header: Mapping[str, Any], physics: PixelPhysics) -> float:
-    """Return the share of a lamp's electrons in a pixel that come from outside 360-830 nm, 0 to 1: that of the lamp with the most.
+    """Return the share of a lamp's electrons in a pixel that come from outside the computed range, 0 to 1: that of the worst lamp.
 
     header : of an irradiance; that of a file of another program may hold anything
     """
@@ -38,17 +72,17 @@ def outside_share(header: Mapping[str, Any], physics: PixelPhysics) -> float:
         return 0.0
     electrons = np.array(lamps, float).reshape(-1, cells) * _response(physics)
     whole = electrons.sum(axis=1)
-    return float((electrons[:, ~INSIDE].sum(axis=1) / np.where(whole > 0, whole, 1.0)).max(initial=0.0))
+    return float((electrons[:, ~inside(computed_span(header))].sum(axis=1) / np.where(whole > 0, whole, 1.0)).max(initial=0.0))
 
 
 def _response(physics: PixelPhysics) -> Array:
     return physics.quantum_efficiency(CENTRES_NM) * photons_per_joule(CENTRES_NM)
 
 
-def outside_words(share: float) -> str:
-    """Return what is left out, in words."""
+def outside_words(share: float, span: Span = VISIBLE) -> str:
+    """Return what is left out of a range, in words."""
     percent = f"{100 * share:.0f}" if share < 0.995 else f"{100 * share:.3g}"
-    return f"without {percent} % of a lamp's light in the sensor's response, outside {LOW_NM:g}-{HIGH_NM:g} nm"
+    return f"without {percent} % of a lamp's light in the sensor's response, outside {span.words}"
 
 
 def outside_hint() -> str:

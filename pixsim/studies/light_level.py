@@ -11,12 +11,17 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.show.sentences import span
 from pixsim.viewer.display import white_light
 from pixsim.viewer.display_options import Display
+from pixsim.viewer.score import HEADER_OF_WHITE, UNITS_OF_WHITE
 
 
 class LightLevel(NamedTuple):
-    """Luminance that is shown as display white, its source and spectrum, and the shortest and longest exposure time."""
+    """What is shown as display white, its unit, source and spectrum, and the shortest and longest exposure time.
 
-    white_cd_per_m2: float
+    It is a luminance, or the radiance of light without one.
+    """
+
+    white: float
+    unit: str
     white_from: str
     white_spectrum: str
     shortest_s: float
@@ -26,12 +31,16 @@ class LightLevel(NamedTuple):
     def of(cls, irradiance: SpectralImage, display: Display, integration_s: Iterable[float]) -> LightLevel:
         """Return the light level of a scored picture; the display's white takes precedence over the scene's."""
         header, times_s = irradiance.header, np.array(list(integration_s), float)
-        if display.white_cd_per_m2:
-            white, source = display.white_cd_per_m2, "display.white_cd_per_m2"
+        stated = [name for name in UNITS_OF_WHITE if getattr(display, name)]
+        name = stated[0] if stated else next(each for each, entry in HEADER_OF_WHITE.items() if entry in header)
+        if stated:
+            white, source = getattr(display, name), f"display.{name}"
         else:
-            white = header["luminance_cd_per_m2"]
+            white = header[HEADER_OF_WHITE[name]]
             source = f"{header['white_from']}, in the sensor's response" if "white_from" in header else "the scene"
-        return cls(float(white), source, white_light(irradiance)[1], float(times_s.min()), float(times_s.max()))
+        return cls(
+            float(white), UNITS_OF_WHITE[name], source, white_light(irradiance)[1], float(times_s.min()), float(times_s.max())
+        )
 
     @property
     def exposure(self) -> str:
@@ -39,4 +48,4 @@ class LightLevel(NamedTuple):
         return span(1e3 * self.shortest_s, 1e3 * self.longest_s, ".3g", " ms")
 
     def __str__(self) -> str:
-        return f"display white is {self.white_cd_per_m2:.4g} cd/m² in the scene; exposed for {self.exposure}"
+        return f"display white is {self.white:.4g} {self.unit} in the scene; exposed for {self.exposure}"

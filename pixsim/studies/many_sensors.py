@@ -45,6 +45,7 @@ from pixsim.viewer.score import (
     warn_of_other_camera,
     warn_of_unused_light,
     white_header,
+    with_white,
 )
 from pixsim.viewer.unused import Configuration, warn_of_unused_settings
 
@@ -178,8 +179,7 @@ def sweep(
         warn_of_unused_settings({"": given})
         border_um = max(borders_um)
         seen = [Seen(light, camera, imaging.physics, border_um) for imaging in each.values()]
-        if white := white_header(seen, display):
-            display = display.model_copy(update={"white_cd_per_m2": white["luminance_cd_per_m2"]})
+        display = with_white(display, white_header(seen, display))
         channels = max(len(imaging.physics.channels) for imaging in each.values())
         scenes = SceneCache(light.identified, camera, display, channels, judging=judging, without=without, develop=develop)
         series = []

@@ -411,7 +411,7 @@ def study_light_words(result: StudyResult) -> list[str]:
         lenses.append("; ".join(filter(None, (words, part.study.camera.assumption(camera).partition(":")[0]))))
         whites.append(part.light_level)
     light = whites[0]._replace(shortest_s=min(w.shortest_s for w in whites), longest_s=max(w.longest_s for w in whites))
-    shown = str(light) if len({each.white_cd_per_m2 for each in whites}) == 1 else f"exposed for {light.exposure}"
+    shown = str(light) if len({(each.white, each.unit) for each in whites}) == 1 else f"exposed for {light.exposure}"
     stages = [words for words in stage_words(parts[0].study) if all(words in stage_words(part.study) for part in parts)]
     return ["; ".join([*(lenses[:1] if len(set(lenses)) == 1 else []), shown, *stages])]
 

@@ -17,7 +17,7 @@ from pixsim.base.arguments import Bounds, Count, NotNegative, Positive, checks_a
 from pixsim.base.arrays import STRIP_DOTS, Array, Finites, NumberArray, Picture, Row, strips, transposed
 from pixsim.base.caller import setting
 from pixsim.base.errors import invalid
-from pixsim.light.spectral import WHITE_LAMPS, SpectralImage, d65, white_words
+from pixsim.light.spectral import LEAST_LM_PER_W, WHITE_LAMPS, WHITE_RADIANCE, SpectralImage, d65, white_words
 from pixsim.optics.camera import Camera
 from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.sensor.integration import (
@@ -71,17 +71,49 @@ def white_cd_per_m2(irradiance: SpectralImage, display: Display) -> float:
 
 @checks_arguments
 def white_light(irradiance: SpectralImage) -> tuple[Array, str]:
-    """Return the light of the scene's white in the image's bands, (B,) in any unit, and its name: that of D65 if it is unknown."""
+    """Return the light of the scene's white in the image's bands, (B,) in any unit, and its name: that of D65 if it is unknown.
+
+    Where D65 has no light either, as in the infrared, it is the mean of the picture.
+    """
     spectrum = irradiance.white_spectrum
     words = white_words(spectrum is not None, irradiance.header.get(WHITE_LAMPS, ()))
-    return irradiance.band_mean(d65) if spectrum is None else spectrum, words
+    if spectrum is not None:
+        return spectrum, words
+    daylight = irradiance.band_mean(d65)
+    if daylight.any():
+        return daylight, words
+    return irradiance.mean_spectrum(), "the mean of the picture, which D65 does not light"
 
 
 @checks_arguments
 def white_lx(irradiance: SpectralImage, camera: Camera, display: Display) -> float:
     """Return the illuminance on the sensor, on axis, from the scene's white. Raises PixsimError as `white_cd_per_m2` does."""
-    factor_sr = irradiance_factor(camera.f_number, 0.0, camera.magnification) * camera.transmittance
-    return white_cd_per_m2(irradiance, display) * float(factor_sr)
+    return white_cd_per_m2(irradiance, display) * on_axis_sr(camera)
+
+
+def on_axis_sr(camera: Camera) -> float:
+    """Return the irradiance on the sensor, on axis, over the radiance of the scene, in sr."""
+    return float(irradiance_factor(camera.f_number, 0.0, camera.magnification) * camera.transmittance)
+
+
+def has_luminance(irradiance: SpectralImage) -> bool:
+    """Whether the eye sees the light of the scene's white well enough for a luminance to say how much there is of it."""
+    spectrum, _ = white_light(irradiance)
+    lumens, watts = ((weight * spectrum).sum() for weight in (irradiance.luminous_weight(), irradiance.band_width_nm))
+    return bool(lumens > LEAST_LM_PER_W * watts)
+
+
+def white_w_per_m2_sr(irradiance: SpectralImage, display: Display) -> float | None:
+    """Return the scene radiance in W m⁻² sr⁻¹, a number, shown as display white: the display's, else that of light nobody sees.
+
+    None if a luminance says what white is.
+    """
+    if display.white_w_per_m2_sr is not None:
+        return display.white_w_per_m2_sr
+    if display.white_cd_per_m2 is not None:
+        return None
+    stated = irradiance.header.get(WHITE_RADIANCE)
+    return stated if isinstance(stated, float) and stated > 0 else None
 
 
 @checks_arguments
@@ -92,15 +124,22 @@ def white_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics,
 
     Raises PixsimError if the eye or the sensor does not respond to that spectrum.
     """
-    white, (spectrum, _) = white_lx(irradiance, camera, display), white_light(irradiance)
+    spectrum, _ = white_light(irradiance)
     electrons = float((electrons_per_joule(physics, irradiance) * spectrum).sum())
     lux = float((irradiance.luminous_weight() * spectrum).sum())
-    rate = electrons / lux * white * M2_PER_UM2 if lux > 0 else 0.0
+    radiance = white_w_per_m2_sr(irradiance, display)
+    if radiance is not None:
+        power = float((irradiance.band_width_nm * spectrum).sum())
+        rate = electrons / power * radiance * on_axis_sr(camera) * M2_PER_UM2 if power > 0 else 0.0
+    else:
+        white = white_lx(irradiance, camera, display)
+        rate = electrons / lux * white * M2_PER_UM2 if lux > 0 else 0.0
     low, high = WHITE_E_PER_S_UM2
     if not low < rate < high:
         got = f"{rate:.3g} electrons s⁻¹ µm⁻² on axis ({electrons:.3g} electrons and {lux:.3g} lx from its light in all bands)"
         allowed = f"light to which both the sensor and the eye respond, {low:g} to {high:g}"
-        hint = "Choose a lamp within the sensor's response and 360-830 nm, or another technology, infrared cut or white."
+        hint = "Choose a lamp within the sensor's response, or another technology or infrared cut. "
+        hint += f"The white of light that nobody sees is a radiance ({setting('display.white_w_per_m2_sr')})."
         raise invalid("the scene's white", got, allowed, hint)
     return rate
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from pixsim.base.problems import Words
 from pixsim.base.records import Record
 from pixsim.optics.camera import SIZES
 
 Luminance = Annotated[float, Field(ge=1e-12, le=1e15)]  # the disc of the sun: 1.6e9
+
+Radiance = Annotated[float, Field(ge=1e-15, le=1e12)]
 
 
 class Display(Record):
@@ -33,6 +35,11 @@ class Display(Record):
     white_cd_per_m2: Luminance | None = Field(
         None, description="scene luminance shown as display white (absent: white of the scene's emissive chart)"
     )
+    white_w_per_m2_sr: Radiance | None = Field(
+        None,
+        description="scene radiance shown as display white, of light that nobody sees, such as infrared (absent: white of the "
+        "scene's emissive chart)",
+    )
     shading_correction: bool = Field(
         True,
         description="divide by the mean collection of the pixels' stack over the field, relative to that on axis, unless flat "
@@ -46,3 +53,9 @@ class Display(Record):
         "bradford",
         description="of coloured pictures: how the white of the scene becomes that of the display, ideal and sensor alike",
     )
+
+    @model_serializer(mode="wrap")
+    def _without_radiance(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """A display whose white is a luminance is written, and hashed, as if there were no radiance."""
+        table: dict[str, Any] = handler(self)
+        return {name: value for name, value in table.items() if name != "white_w_per_m2_sr" or value is not None}

@@ -19,7 +19,7 @@ from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import warn
 from pixsim.base.records import Record, content_hash
-from pixsim.light.spectral import SpectralImage, without_outliers
+from pixsim.light.spectral import WHITE_RADIANCE, SpectralImage, without_outliers
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import ideal_light
 from pixsim.sensor.collection import (
@@ -763,13 +763,18 @@ class Seen(NamedTuple):
     physics: PixelPhysics
     border_um: float | None = None
 
-    def luminance_cd_per_m2(self, display: Display) -> Array:
-        """Return the luminance of the light of the scene's white that gives each scored dot its ideal image, (H, W).
+    @property
+    def white_field(self) -> str:
+        """The field of a display that says what is white: a luminance, or the radiance of light without one."""
+        return "white_cd_per_m2" if displays.has_luminance(self.irradiance) else "white_w_per_m2_sr"
 
-        It is the ideal image in the response of these pixels, in units of a white of 1 cd/m².
+    def amount(self, display: Display) -> Array:
+        """Return the light of the scene's white that gives each scored dot its ideal image, (H, W), in the unit of `white_field`.
+
+        It is the ideal image in the response of these pixels, in units of a white of 1.
         """
         irradiance, camera, physics, border_um = self
-        unit = display.model_copy(update={"white_cd_per_m2": 1.0})
+        unit = display.model_copy(update={self.white_field: 1.0})
         border_um = physics.as_read.border_um if border_um is None else border_um
         rendition = None if physics.layout is None else rendition_of(irradiance, physics.channels, unit)
         return luminance_of(ideal_on_dots(irradiance, camera, physics, unit, border_um, rendition)[1])
@@ -782,21 +787,36 @@ def white_header(seen: Sequence[Seen], display: Display) -> dict[str, Any]:
     dots that are scored, rounded up to two digits, with a warning. Of several pixels, which see different parts of the spectrum,
     the largest counts: so that white clips at most 1 % of the ideal image of each.
 
-    Raises PixsimError if an ideal image is black up to that percentile, or if its light has no luminance.
+    Of light without luminance it is a radiance.
+
+    Raises PixsimError if an ideal image is black up to that percentile.
     """
-    if display.white_cd_per_m2 or "luminance_cd_per_m2" in seen[0].irradiance.header:
+    name = seen[0].white_field
+    if display.white_cd_per_m2 or display.white_w_per_m2_sr or HEADER_OF_WHITE[name] in seen[0].irradiance.header:
         return {}
-    found = max(float(np.percentile(one.luminance_cd_per_m2(display), WHITE_PERCENTILE, overwrite_input=True)) for one in seen)
+    found = max(float(np.percentile(one.amount(display), WHITE_PERCENTILE, overwrite_input=True)) for one in seen)
+    unit = UNITS_OF_WHITE[name]
     if not found > 0:
         got = "no value, and the picture is too dark to estimate it"
-        hint = f"Set {setting('display.white_cd_per_m2')}."
-        raise invalid("display.white_cd_per_m2", got, "the scene luminance in cd/m² shown as white", hint)
+        what = "luminance" if name == "white_cd_per_m2" else "radiance"
+        raise invalid(f"display.{name}", got, f"the scene {what} in {unit} shown as white", f"Set {setting(f'display.{name}')}.")
     white = rounded_up(found, WHITE_DIGITS)
     of_all = "" if len(seen) == 1 else ", the largest of these sensors'"
     source = f"the {WHITE_FROM} in the sensor's response{of_all}, rounded up"
-    fixed = f"set {setting('display.white_cd_per_m2', white)} to fix this value"
-    warn(f"the scene does not define its white: using {white:g} cd/m², {source}; {fixed}")
-    return {"luminance_cd_per_m2": white, "white_from": WHITE_FROM}
+    fixed = f"set {setting(f'display.{name}', white)} to fix this value"
+    warn(f"the scene does not define its white: using {white:g} {unit}, {source}; {fixed}")
+    return {HEADER_OF_WHITE[name]: white, "white_from": WHITE_FROM}
+
+
+# Of fields of a display: their units, and their entries in a header. A radiance is there where a luminance says nothing.
+UNITS_OF_WHITE = {"white_w_per_m2_sr": "W m⁻² sr⁻¹", "white_cd_per_m2": "cd/m²"}
+HEADER_OF_WHITE = {"white_w_per_m2_sr": WHITE_RADIANCE, "white_cd_per_m2": "luminance_cd_per_m2"}
+
+
+def with_white(display: Display, white: Mapping[str, Any]) -> Display:
+    """Return a display with the white of a `white_header`; as it is for an empty one."""
+    found = {name: white[entry] for name, entry in HEADER_OF_WHITE.items() if entry in white}
+    return display.model_copy(update=found) if found else display
 
 
 def rounded_up(value: float, digits: int) -> float:
@@ -1154,8 +1174,7 @@ def make_imaging_chain(
     warn_of_implausible_numbers(pixel)
     warn_of_stack_limits(physics, camera, irradiance.wavelength_nm)
     border_um = scored_border_um(physics, motion, exposure, camera)
-    if white := white_header([Seen(irradiance, camera, physics, border_um)], display):
-        display = display.model_copy(update={"white_cd_per_m2": white["luminance_cd_per_m2"]})
+    display = with_white(display, white_header([Seen(irradiance, camera, physics, border_um)], display))
     judging.check(MetricContext(physics.layout is not None, without is not None))
     keep = keep and not judging.needs_light
     key = _key_of_chain(irradiance, camera, physics, (exposure, display, correction, develop, motion), full) if keep else None

@@ -361,6 +361,9 @@ RULES = (
     Rule(("develop.tone_white",), lambda c: "" if c.develop.tone_curve == "reinhard" else "develop.tone_curve is not 'reinhard'"),
     Rule(("display.adaptation",), of_colour),
     Rule(
+        ("display.white_cd_per_m2",), lambda c: "display.white_w_per_m2_sr states the white" if c.display.white_w_per_m2_sr else ""
+    ),
+    Rule(
         ("display.dots", "display.interpolation"),
         lambda c: "with display.raster = 'one_to_one' dots are pixels" if c.display.raster == "one_to_one" else "",
     ),

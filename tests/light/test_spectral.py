@@ -17,10 +17,10 @@ from pixsim.base import mapped
 from pixsim.base.errors import PixsimError
 from pixsim.light import exr, spectral
 from pixsim.light.exr import _merged, read_channels, read_header, reduced_to_fit, write_channels
-from pixsim.light.spectral import SpectralImage, Spectrum
+from pixsim.light.spectral import VISIBLE, SpectralImage, Spectrum
 from pixsim.optics.diffraction import diffract_sum
 from pixsim.optics.exchange import read_irradiance
-from pixsim.scene.bands import BAND_EDGES_NM
+from pixsim.scene.bands import band_edges_nm
 from pixsim.scene.mitsuba import import_mitsuba
 from pixsim.scene.variants import variant
 
@@ -80,7 +80,7 @@ def test_write_exr_image_reads_back_bit_for_bit(make, spread, tmp_path):
 def fine_bands(seed: int) -> SpectralImage:
     """Return an image with 10 nm bands that are randomly halved up to three times, and spectra of both signs."""
     rng = np.random.default_rng(seed)
-    edges = BAND_EDGES_NM
+    edges = band_edges_nm(VISIBLE)
     for _ in range(3):
         halved = np.flatnonzero(rng.random(edges.size - 1) < rng.uniform(0.1, 0.6))
         edges = np.sort(np.concatenate([edges, (edges[halved] + edges[halved + 1]) / 2]))

@@ -170,3 +170,34 @@ def test_pictures_agree_with_those_of_single_passes(import_first, scene, paramet
     # The degrees of freedom are at least those of one side (Welch).
     assert t.max() < student.isf(FALSE_ALARMS / comparisons / 2, RUNS - 1)
     assert t.mean() > 0.4, "0.8 where only noise differs: the errors are not too large"
+
+
+def test_infrared_passes_are_traced_together(tmp_path: Path) -> None:
+    """A black body on a wall that is steep, to 1100 nm: its bands are those of ρ L, relative to the first bright one."""
+    plane = '<transform name="to_world"><scale value="3"/><lookat origin="0,0,1" target="0,0,0" up="0,1,0"/></transform>'
+    values = {300: 0.05, 600: 0.1, 620: 0.9, 700: 0.2, 720: 0.8, 900: 0.1, 920: 0.9, 1100: 0.3}
+    table = ", ".join(f"{nm}:{value}" for nm, value in values.items())
+    (tmp_path / "wall.xml").write_text(
+        '<scene version="3.0.0"><integrator type="path"/><emitter type="constant"><spectrum name="radiance" value="300:1, 1100:1"/>'
+        f'</emitter><shape type="rectangle">{plane}'
+        f'<bsdf type="diffuse"><spectrum name="reflectance" value="{table}"/></bsdf></shape>'
+        '<sensor type="thinlens"><float name="fov" value="38"/><float name="aperture_radius" value="0.0005"/>'
+        '<float name="focus_distance" value="1"/><transform name="to_world"><lookat origin="0,0,0" target="0,0,1" up="0,1,0"/>'
+        '</transform><film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/></film>'
+        "</sensor></scene>"
+    )
+    pixel = pixsim.Pixel(technology="4t-bsi", pitch_um=10.0, quantum_efficiency=[[300, 0.5], [1100, 0.5]], stack={"enabled": False})
+    loaded = pixsim.load_scene(tmp_path / "wall.xml", variant=LLVM).with_resolution(SIDE)
+    plan = replace(make_render_plan(loaded, pixel=pixel, full=True), spp=256)
+    assert plan.passes > 1
+    image = pixsim.render(loaded, plan=plan)
+    assert image.wavelength_nm[-1] > 1090
+    spectrum, edges = image.mean_spectrum(), np.concatenate([[300.0], 300 + np.cumsum(image.band_width_nm)])
+    fine = np.linspace(300, 1100, 80_001)
+    means = [np.interp(fine, [*values], [*values.values()])[(fine >= a) & (fine <= b)].mean() for a, b in pairwise(edges)]
+    photons = image.wavelength_nm * image.band_width_nm
+    for low_nm, high_nm in ((300, 1100), (830, 1100), (300, 830)):
+        part = (image.wavelength_nm > low_nm) & (image.wavelength_nm < high_nm)
+        ratio = (spectrum * photons)[part].sum() / (np.array(means) * photons)[part].sum()
+        whole = (spectrum * photons).sum() / (np.array(means) * photons).sum()
+        assert ratio == pytest.approx(whole, rel=5e-3)

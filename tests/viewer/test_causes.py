@@ -109,27 +109,36 @@ def test_share_of_a_black_body_is_planck_s(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("ends", [(840, 860), (300, 350)])
 def test_lamp_outside_the_range_is_refused_with_the_range(ends: tuple[float, float], tmp_path: Path) -> None:
-    refused = rf"scene: got light from {ends[0]} to {ends[1]} nm only; allowed: light within 360-830 nm\."
+    refused = rf"scene: got light from {ends[0]} to {ends[1]} nm only; allowed: light within 360-830 nm, or within 300-1100 nm"
     with pytest.raises(pixsim.PixsimError, match=refused):
         plan_of(tmp_path, table(*ends))
     with pytest.raises(pixsim.PixsimError, match="Check that its scale is above 0"):
         plan_of(tmp_path, '<spectrum name="intensity" value="0"/>')
 
 
-def test_plan_warns_of_more_than_one_per_cent_outside(tmp_path: Path) -> None:
-    silicon = Pixel.model_validate(SILICON | {"infrared_cut_nm": None})
-    (note,) = plan_of(tmp_path, table(400, 900), silicon).warnings
-    assert note.startswith("without 9 % of a lamp's light in the sensor's response, outside 360-830 nm: ")
-    assert not plan_of(tmp_path, table(400, 833), silicon).warnings
-    assert not plan_of(tmp_path, table(400, 900), Pixel.model_validate(SILICON)).warnings
+def test_range_grows_where_lamps_shine_and_the_sensor_sees(tmp_path: Path) -> None:
+    silicon, cut = Pixel.model_validate(SILICON | {"infrared_cut_nm": None}), Pixel.model_validate(SILICON)
+    for lamp, pixel, ends in (
+        (table(400, 900), silicon, (360, 1100)),
+        (table(320, 1100), FLAT.pixel, (300, 1100)),
+        (table(400, 830), silicon, (360, 830)),
+        (table(400, 900), cut, (360, 830)),
+        ('<spectrum name="intensity" value="1"/>', silicon, (360, 830)),
+    ):
+        plan = plan_of(tmp_path, lamp, pixel)
+        assert not plan.warnings
+        assert (plan.bands.edges_nm[0], plan.bands.edges_nm[-1]) == ends
+        share = outside_share(plan.white_header(plan.bands.edges_nm), derive(pixel))
+        assert share == pytest.approx(0, abs=1e-4)
 
 
 def test_score_of_a_lamp_that_is_hardly_seen_says_so(tmp_path: Path) -> None:
-    """Also from a file of its render."""
+    """Also from a file of its render, for a sensor that did not see it."""
     path = tmp_path / "lamp.xml"
     path.write_text(SCENE.replace("LAMP", table(800, 900)), encoding="utf-8")
     camera = Camera(focal_length_mm=4.0, die_mm=0.32)
-    pixsim.write_exr(tmp_path / "lamp.exr", pixsim.render(load_scene(path, resolution=16), camera))
+    scene, cut = load_scene(path, resolution=16), Pixel.model_validate(SILICON | {"infrared_cut_nm": 830.0})
+    pixsim.write_exr(tmp_path / "lamp.exr", pixsim.render(scene, camera, plan=make_plan(scene, camera, cut)))
     with pytest.warns(UserWarning, match="does not define its white"):
         score = pixsim.evaluate(pixsim.read_exr(tmp_path / "lamp.exr"), camera, Pixel(technology="4t-bsi", pitch_um=5.0))
     silicon = derive(Pixel(technology="4t-bsi", pitch_um=5.0))

@@ -438,7 +438,6 @@ def even(nm, spectrum, **header):
         (even(np.array([550.0]), np.ones(1), lamp_w_per_m2_sr_nm=[0.0]), {}),
         (SpectralImage(SHORT_NM, 10.0, 20.0, data=np.ones((6, 6, 3)), header={"luminance_cd_per_m2": 1000.0}), {}),
         (even(np.array([550.0]), np.ones(1)), {"infrared_cut_nm": 1.0}),
-        (even(np.array([940.0]), np.ones(1)), {"technology": "4t-bsi"}),
         *((even(np.array([550.0]), np.ones(1), luminance_cd_per_m2=white), {}) for white in (1e-320, 1e-300, 1e300)),
     ],
 )

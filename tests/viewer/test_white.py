@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from pathlib import Path
 from typing import Any
@@ -16,12 +17,14 @@ import pixsim
 from pixsim.base.arrays import Array
 from pixsim.base.caller import command_line
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics import irradiance_factor
 from pixsim.optics.camera import Camera
 from pixsim.optics.exchange import write_npz
 from pixsim.scene.scene import packaged_scenes
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.studies.comparison import Comparison
+from pixsim.studies.light_level import LightLevel
 from pixsim.viewer.develop import rendition_of
 from pixsim.viewer.display import XYZ_FROM_RGB
 from pixsim.viewer.display_options import Display
@@ -139,3 +142,72 @@ def test_sensors_of_a_comparison_share_one_white(tmp_path: Path) -> None:
             sensor.irradiance, sensor.sensor.camera, sensor.score.physics, result.shown.lineup.border_um(sensor.sensor.camera)
         )
         assert np.mean(seen.luminance_cd_per_m2(result.shown.lineup.settings.display) > first) <= 0.01
+
+
+# --- light that nobody sees ---
+
+
+def infrared(scale: float = 1.0, **header: Any) -> SpectralImage:
+    """Detail under light around 940 nm."""
+    y, x = np.mgrid[:64, :64]
+    picture = 0.5 + 0.4 * np.sin(x / 4) * np.cos(y / 6)
+    light = picture[..., None] * np.array([0.5, 1.0, 0.5]) * 0.01 * scale
+    return SpectralImage([930.0, 940.0, 950.0], 10.0, 4.0, data=light, header={"diffraction": False, **header})
+
+
+SEES_INFRARED = Pixel(
+    **{"technology": "4t-bsi", "pitch_um": 4.0, "quantum_efficiency": [[400, 0.6], [1000, 0.2]], "black_level_dn": 60},
+    stack={"enabled": False},
+)
+
+
+def test_white_of_infrared_light_is_a_radiance() -> None:
+    """The percentile of the picture, rounded up; E = π L sin²α of a plate of it on the axis; nothing depends on its scale."""
+    camera = Camera(die_mm=0.256)
+    display = Display(dots=32)
+    with pytest.warns(UserWarning, match=r"using ([\d.e+-]+) W m⁻² sr⁻¹, the 99th percentile .*white_w_per_m2_sr=") as caught:
+        score = pixsim.evaluate(infrared(), camera, SEES_INFRARED, display=display)
+    found = float(re.search(r"using ([\d.e+-]+) W", str(caught[0].message))[1])
+    factor = float(irradiance_factor(camera.f_number, 0.0, camera.magnification))
+    brightest = float(infrared().data.sum(axis=2).max()) * 10 / factor
+    assert 0.85 * brightest < found < 1.1 * brightest
+    given = pixsim.evaluate(infrared(), camera, SEES_INFRARED, display=display.model_copy(update={"white_w_per_m2_sr": found}))
+    assert given.mean_delta_e == score.mean_delta_e
+    half = display.model_copy(update={"white_w_per_m2_sr": found / 2})
+    np.testing.assert_array_equal(pixsim.evaluate(infrared(0.5), camera, SEES_INFRARED, display=half).ideal, score.ideal)
+    named = pixsim.evaluate(infrared(white_w_per_m2_sr=found), camera, SEES_INFRARED, display=display)
+    assert named.mean_delta_e == score.mean_delta_e
+
+
+def test_luminance_of_light_that_nobody_sees_is_refused() -> None:
+    with pytest.raises(pixsim.PixsimError, match=r"The white of light that nobody sees is a radiance \(Display\(white_w_per_m2_sr"):
+        pixsim.evaluate(infrared(), Camera(die_mm=0.256), SEES_INFRARED, display=Display(dots=32, white_cd_per_m2=100.0))
+    both = Display(dots=32, white_cd_per_m2=100.0, white_w_per_m2_sr=4.0)
+    with pytest.warns(UserWarning, match=r"display\.white_cd_per_m2 is not used: display\.white_w_per_m2_sr states the white"):
+        pixsim.evaluate(infrared(), Camera(die_mm=0.256), SEES_INFRARED, display=both)
+
+
+@pytest.mark.parametrize("lamp", ["led_850nm", "led_940nm"])
+def test_chart_under_an_infrared_lamp_is_scored(lamp: str, tmp_path: Path) -> None:
+    """White is the radiance of texel value 1; of a lit scene it is estimated. The packaged lamps shine where they say."""
+    table = np.loadtxt(packaged_scenes()["csf"].parent / f"spectra/{lamp}.spd")
+    peak_nm = table[table[:, 1].argmax(), 0]
+    assert peak_nm == float(lamp[4:7])
+    above = table[table[:, 1] >= table[:, 1].max() / 2, 0]
+    assert 25 <= np.ptp(above) <= 45
+    assert np.trapezoid(table[:, 1], table[:, 0]) == pytest.approx(5.0, rel=1e-3)
+    text = ", ".join(f"{nm:g}:{value:.6g}" for nm, value in table)
+    (tmp_path / "lamp.xml").write_text(
+        '<scene version="3.0.0"><integrator type="path"/><sensor type="thinlens"><float name="fov" value="38"/>'
+        '<float name="aperture_radius" value="0.0005"/><float name="focus_distance" value="1"/><transform name="to_world">'
+        '<lookat origin="0,0,0" target="0,0,1" up="0,1,0"/></transform></sensor><shape type="rectangle"><transform name="to_world">'
+        '<scale value="3"/><lookat origin="0,0,1" target="0,0,0" up="0,1,0"/></transform><emitter type="area">'
+        f'<spectrum name="radiance" value="{text}"/></emitter></shape></scene>',
+        encoding="utf-8",
+    )
+    pixel = {"technology": "4t-bsi", "pitch_um": 21.2, "quantum_efficiency": [[400, 0.6], [1000, 0.2]], "black_level_dn": 60}
+    result = pixsim.run(tmp_path / "lamp.xml", pixel=pixel, resolution=64, display={"dots": 32})
+    assert result.irradiance.header["white_w_per_m2_sr"] == pytest.approx(5.0, rel=1e-3)
+    assert "display white is 5 W m⁻² sr⁻¹ in the scene" in str(LightLevel.of(result.irradiance, Display(), [0.01]))
+    white, middle = result.score.ideal.max(), result.score.ideal[result.score.ideal.shape[0] // 2].max()
+    assert white == middle == pytest.approx(1.0, abs=0.01)  # on the axis, but for codes

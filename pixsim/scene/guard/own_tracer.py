@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.light.spectral import LOW_NM, grid_nm
 from pixsim.scene.job import WAVELENGTHS, Job, Lamps, Passes
 from pixsim.scene.mitsuba import drjit, parse, speaking_mitsuba
 from pixsim.scene.tree import REFERENCES, children, nodes_of, tree_of
@@ -141,7 +140,7 @@ class OwnTracer:
             for lane in range(WAVELENGTHS):
                 pulse = dr.gather(mi.UInt32, lanes, group * WAVELENGTHS + lane)
                 shifted = at + dr.gather(mi.Float, shifts, group * WAVELENGTHS + lane)
-                wavelengths_nm.append(_inverted(mi, density, share, pulse, shifted - dr.floor(shifted), passes.step_nm))
+                wavelengths_nm.append(_inverted(mi, density, share, pulse, shifted - dr.floor(shifted), passes))
             ray.wavelengths = mi.Spectrum(*wavelengths_nm)
             light = _radiance(mi, integrator, world, draws, mi.RayDifferential3f(ray))
             dr.eval(light)
@@ -180,13 +179,13 @@ def _tables(mi: ModuleType, passes: Passes) -> tuple[UInt32, Float, Float, Float
     return mi.UInt32(np.ascontiguousarray(passes.lanes.ravel(), np.uint32)), *(mi.Float(array) for array in numbers)
 
 
-def _inverted(mi: ModuleType, density: Float, share: Float, pulse: UInt32, at: Float, step_nm: float) -> Float:
+def _inverted(mi: ModuleType, density: Float, share: Float, pulse: UInt32, at: Float, passes: Passes) -> Float:
     """Return the wavelength up to which a pulse, linear between its nodes, has a share `at` (0 to 1) of its area, in nm.
 
     density : of all pulses, per step: a share of the area, so that it is `share` in a step of constant density
     """
     dr = drjit()
-    nodes = grid_nm(step_nm).size
+    nodes = passes.nodes
     first = pulse * nodes
     above = dr.binary_search(1, nodes - 1, lambda node: dr.gather(mi.Float, share, first + node) <= at)
     before = first + above - 1
@@ -195,7 +194,7 @@ def _inverted(mi: ModuleType, density: Float, share: Float, pulse: UInt32, at: F
     # The root of left·x + (right - left)·x²/2 = missing, in the form without cancellation; 0/0 where nothing is missing.
     root = left + dr.safe_sqrt(dr.square(left) + 2 * (right - left) * missing)
     inside = dr.select(root > 0, dr.minimum(2 * missing / root, 1.0), 0.0)
-    return LOW_NM + step_nm * (mi.Float(above) - 1 + inside)
+    return passes.span.low_nm + passes.step_nm * (mi.Float(above) - 1 + inside)
 
 
 def _radiance(mi: ModuleType, integrator: SamplingIntegrator, world: Scene, sampler: Sampler, ray: RayDifferential3f) -> Spectrum:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from pixsim.base.errors import PixsimError
+from pixsim.light.spectral import Span
 from pixsim.scene.guard.own_tracer import OwnTracer
 from pixsim.scene.job import Job, Lamps, Passes
 
@@ -23,7 +24,7 @@ def job_of(content: dict[str, Any]) -> Job:
         of and Lamps({int(node): (name, picture) for node, (name, picture) in of["pictures"].items()}, of["neutral"])
         for of in content["lamps"]
     ]
-    passes = [of and Passes(of["step_nm"], of["pulses"], of["groups"]) for of in content["passes"]]
+    passes = [of and Passes(of["step_nm"], of["pulses"], of["groups"], Span(**of["span"])) for of in content["passes"]]
     return Job(**{**content, "lamps": tuple(lamps), "passes": tuple(passes)})
 
 
