@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from pixsim.viewer import display as display, judges as judges, scielab as scielab
     from pixsim.viewer.colour_matrix import colour_matrix as colour_matrix
     from pixsim.viewer.demosaic import demosaic as demosaic
+    from pixsim.viewer.develop_options import Develop as Develop
     from pixsim.viewer.display_options import Display as Display
     from pixsim.viewer.other_pictures import score_pictures as score_pictures
     from pixsim.viewer.scielab import delta_e_map as delta_e_map
@@ -60,6 +61,7 @@ _NAMES_OF = {
     "sensor.motion_options": "Motion",
     "sensor.pixel_options": "Pixel",
     "studies.study_settings": "Study",
+    "viewer.develop_options": "Develop",
     "viewer.display_options": "Display",
     "sensor.technology": "Technology load_technology",
     "light.spectral": "SpectralImage",

@@ -61,7 +61,6 @@ from pixsim.viewer.score import (
     dark_clip,
     judged_score,
     make_imaging_chain,
-    prepare_scene,
     scored_border_um,
     white_header,
 )
@@ -508,7 +507,7 @@ def light_run(prepared: RunJob, stage: Stage) -> LitRun:
     return LitRun(prepared, image, rendered, plan, tuple(notes))
 
 
-def score_run(lit: LitRun, stage: Stage, prepare: Callable[..., PreparedScene] = prepare_scene) -> RunResult:
+def score_run(lit: LitRun, stage: Stage, prepare: Callable[..., PreparedScene] | None = None) -> RunResult:
     """Return the result of a run whose light is known.
 
     prepare : as of `make_imaging_chain`

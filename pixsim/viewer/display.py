@@ -91,11 +91,13 @@ def white_lx(irradiance: SpectralImage, camera: Camera, display: Display) -> flo
     return white_cd_per_m2(irradiance, display) * on_axis_sr(camera)
 
 
+@checks_arguments
 def on_axis_sr(camera: Camera) -> float:
     """Return the irradiance on the sensor, on axis, over the radiance of the scene, in sr."""
     return float(irradiance_factor(camera.f_number, 0.0, camera.magnification) * camera.transmittance)
 
 
+@checks_arguments
 def has_luminance(irradiance: SpectralImage) -> bool:
     """Whether the eye sees the light of the scene's white well enough for a luminance to say how much there is of it."""
     spectrum, _ = white_light(irradiance)
@@ -103,6 +105,7 @@ def has_luminance(irradiance: SpectralImage) -> bool:
     return bool(lumens > LEAST_LM_PER_W * watts)
 
 
+@checks_arguments
 def white_w_per_m2_sr(irradiance: SpectralImage, display: Display) -> float | None:
     """Return the scene radiance in W m⁻² sr⁻¹, a number, shown as display white: the display's, else that of light nobody sees.
 

@@ -1156,13 +1156,13 @@ def make_imaging_chain(
     judging: Judging = DELTA_E_ONLY,
     without: SpectralImage | None = None,
     motion: Motion = STILL,
-    prepare: Callable[..., PreparedScene] = prepare_scene,
+    prepare: Callable[..., PreparedScene] | None = None,
 ) -> ImagingChain:
     """Return the imaging chain up to the noise.
 
     keep : whether the chain stays in memory, with the last few others, for the same light and settings
     judging, without : as of `prepare_scene`
-    prepare : does what `prepare_scene` does, or knows what it did (`KeptScenes`)
+    prepare : knows what `prepare_scene` did (`KeptScenes`); None means that itself
 
     Warns if the render used another camera, the scene's white is estimated (`white_header`), the display clips the scene, numbers
     of a data sheet contradict one another, or the model of the pixel's stack is doubtful.
@@ -1180,7 +1180,7 @@ def make_imaging_chain(
     key = _key_of_chain(irradiance, camera, physics, (exposure, display, correction, develop, motion), full) if keep else None
     if key is None or key not in _kept_chains:
         own = irradiance, camera, physics, display, full
-        light = prepare(*own, border_um=border_um, judging=judging, without=without, develop=develop)
+        light = (prepare or prepare_scene)(*own, border_um=border_um, judging=judging, without=without, develop=develop)
         um_per_s = velocity_um_per_s(motion, camera, physics.pitch_um)
         found = chain_at_pitch(light, physics, exposure, correction, develop, um_per_s), light.beyond_white
     else:

@@ -69,6 +69,9 @@ ACUTANCE = Metric(
 def _visual_noise(judged: Judged) -> tuple[float]:
     """Show a frame of an even patch, of the same sensor settings and exposure, in a stream of its own."""
     chain, time_s = judged.chain, judged.frame.integration_s
+    if chain.develop.denoise == "wiener_bound":
+        got, hint = "develop.denoise = 'wiener_bound', which knows that its patch is even", "Take 'nlm' or 'wavelet'."
+        raise NoNumberError(str(invalid("the metric visual_noise", got, "noise reduction that does not know the picture", hint)))
     even = np.full(chain.signal_e_per_s.shape, GREY * chain.white_e_per_s)
     if chain.even is not None and (chain.shading is not None or chain.correction.flat_frames):
         even *= chain.even  # by which the picture is divided
@@ -102,6 +105,9 @@ def _npwe(judged: Judged) -> tuple[float, float]:
 
     The noise of this frame is taken for that of all places of the picture, and of all registrations.
     """
+    if judged.chain.develop.denoises:
+        got = f"develop.denoise = '{judged.chain.develop.denoiser}', which does other things to a frame than to its mean"
+        raise NoNumberError(str(invalid("the metric npwe", got, "development that is linear", "Take ΔE, or detectability.")))
     samples_per_deg, power, found = judged.chain.screen.display.samples_per_deg, None, []
     for chain in judged.chains(judged.options.detectability.registrations):
         assert chain.without_e_per_s is not None

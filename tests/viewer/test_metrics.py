@@ -242,6 +242,15 @@ def test_light_without_the_target_has_the_samples_of_that_with_it() -> None:
             call(without=EVEN)
 
 
+@pytest.mark.parametrize(("name", "denoise"), [("npwe", "wavelet"), ("npwe", "wiener_bound"), ("visual_noise", "wiener_bound")])
+def test_metric_behind_noise_reduction_that_it_cannot_judge_has_no_number(name: str, denoise: Any) -> None:
+    """A filter that adapts does other things to a frame than to its mean; the bound knows that a patch is even."""
+    given: dict[str, Any] = {"without": EVEN} if name == "npwe" else {}
+    given |= {"develop": pixsim.Develop(denoise=denoise)}
+    with pytest.raises(NoNumberError, match=f"the metric {name}: got develop.denoise = '{denoise}'"):
+        pixsim.evaluate(with_disc(0.05), CAMERA, PIXEL, EXPOSURE, DISPLAY, metrics=[name], **given)
+
+
 def test_npwe_sees_nothing_of_what_clips() -> None:
     """Light of 300 and 330 times that of `EVEN`, both far above the full well: one picture, without and with the target."""
     with_target, without = light(300.0 + 30.0 * (with_disc(1.0).data[..., 0] > 3e-4)), light(np.full((200, 200), 300.0))
