@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from pixsim.base.problems import Words
-from pixsim.base.records import Record, UnitInterval
+from pixsim.base.records import Record, UnitInterval, as_list
 from pixsim.light.curves import QuantumEfficiency
 from pixsim.light.quantities import Fraction, Wavelength
 from pixsim.optics.quantities import FNumber
@@ -335,7 +335,7 @@ class Pixel(PixelOptions):
     pitch_um: Annotated[Pitch, Words(also=("pixel_size", "pixel_size_um", "pixel_pitch", "pixel_pitch_um", "pitch"))] = Field(
         6.5, description="pixel pitch"
     )
-    registration: tuple[PartOfPixel, PartOfPixel] | None = Field(
+    registration: Annotated[tuple[PartOfPixel, PartOfPixel], BeforeValidator(as_list)] | None = Field(
         None,
         description="[x, y]: distance of a pixel border from the die's centre, in pixels, 0 to below 1 (absent: the pixels are "
         "centred; in a study or a comparison each repeat has its own)",

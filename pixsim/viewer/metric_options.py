@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from pixsim.base.records import NumberOrText, Record, UnitInterval
+from pixsim.base.records import NumberOrText, Record, UnitInterval, as_list
 from pixsim.light.quantities import Fraction
 
 Illuminance = Annotated[float, Field(ge=1e-9, le=1e9)]
@@ -74,7 +74,7 @@ class Niirs(Record):
     """Settings of the metric niirs."""
 
     ground_distance_m: Length | None = Field(None, description="of the ground from the lens (absent: that of the plane in focus)")
-    reflectances: tuple[UnitInterval, UnitInterval] = Field(
+    reflectances: Annotated[tuple[UnitInterval, UnitInterval], BeforeValidator(as_list)] = Field(
         (0.07, 0.15), description="of two surfaces whose difference is the signal of SNR"
     )
 

@@ -18,8 +18,10 @@ from pixsim.cli.options import app, choices_of, complete_study, value_name
 from pixsim.optics.camera import CameraOptions
 from pixsim.scene.scene import packaged_scenes
 from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.viewer.display_options import Display
+from pixsim.viewer.metric_options import Niirs
 from pixsim.viewer.setting import Effort, Run
 
 
@@ -100,6 +102,22 @@ def test_options_match_fields_of_files(monkeypatch: pytest.MonkeyPatch) -> None:
     options = {name.replace("-", "_") for name in re.findall(r"--((?:camera|pixel|exposure|display)\.[a-z0-9-]+)", text)}
     tables = {table: Run.model_fields[table].annotation for table in ("camera", "pixel", "exposure", "display")}
     assert options == {f"{table}.{name}" for table, record in tables.items() for name in record.model_fields}
+
+
+@pytest.mark.parametrize(
+    ("option", "record", "name"),
+    [
+        ("20000,-5", Motion, "velocity_mm_per_s"),
+        ("20000,-5", Motion, "image_um_per_s"),
+        ("20000 -5", Motion, "pixels_per_s"),
+        ("0.25,0.5", Pixel, "registration"),
+        ("0.1,0.5", Niirs, "reflectances"),
+    ],
+)
+def test_pairs_of_numbers_are_texts_of_options(option: str, record: type[Record], name: str) -> None:
+    """As `pixsim explore` copies them into a command, too."""
+    found = getattr(record.model_validate({name: option}), name)
+    assert found == tuple(map(float, option.replace(",", " ").split()))
 
 
 @pytest.mark.parametrize(
