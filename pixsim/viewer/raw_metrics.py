@@ -13,6 +13,7 @@ from scipy.special import ndtr
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
 from pixsim.base.errors import invalid
+from pixsim.sensor.integration import M2_PER_UM2, electrons_per_joule, split_by_veil
 from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.photodiode import saturation_level_e
 from pixsim.viewer.display import white_cd_per_m2
@@ -289,6 +290,32 @@ def scene_power(chain: ImagingChain, options: Information) -> tuple[Array, Array
     return chain.facts.kept(("power", options.content_hash, chain.moving.path_um, *chain.pixel_key), compute)
 
 
+class Veiled(NamedTuple):
+    """What veiling glare makes of the light that pixels see: all of it, 1 and 0, without.
+
+    kept : share of the picture's own electrons that does not stray
+    stray : share of what strays in the mean of what pixels see
+    """
+
+    kept: float
+    stray: float
+
+
+def veiled(chain: ImagingChain) -> Veiled:
+    """Return what veiling glare makes of the light of a chain."""
+    facts, physics = chain.facts, chain.physics
+    if not facts.camera.veiling_glare:
+        return Veiled(1.0, 0.0)
+
+    def compute() -> Veiled:
+        light, weight = facts.mean, electrons_per_joule(physics, facts.mean)
+        (of_kept,), (stray,) = split_by_veil(light, facts.camera, [weight])
+        own, kept = (M2_PER_UM2 * float((each * light.mean_spectrum()).sum()) for each in (weight, of_kept))
+        return Veiled(kept / own, stray / (kept + stray)) if own else Veiled(1.0, 0.0)
+
+    return chain.facts.kept(("veil", *chain.pixel_key), compute)
+
+
 def level_e(chain: ImagingChain, mean_e: float, time_s: float) -> tuple[float, float]:
     """Return the part of a mean level with which codes change, and the variance of a pixel at it, as code 0 leaves both."""
     variance_e2 = variance_of_pixels_e2(chain, mean_e, time_s)
@@ -308,6 +335,8 @@ def _information(judged: Judged) -> tuple[float, float]:
     if not told.any():
         return 0.0, 0.0
     mean_e, variance_e2 = level_e(chain, float(signal_e[told].mean()), time_s)
+    if judged.options.information.spectrum == "natural":  # the scene's own picture has its veil
+        mean_e *= 1 - veiled(chain).stray
     noise = variance_e2 * (1e-3 * chain.physics.read_pitch_um) ** 2
     bits = float(told.mean()) * information_bits_per_mm2(axis, mean_e**2 * power, noise, mean_e**2 * folded)
     return bits, bits * (chain.facts.camera.image_distance_mm * math.radians(1.0)) ** 2
@@ -324,7 +353,7 @@ def neq_along(chain: ImagingChain, time_s: float) -> tuple[Array, Array]:
         return frequency, np.full(POINTS, np.nan)
     mean_e, variance_e2 = level_e(chain, float(signal_e[told].mean()), time_s)
     noise = variance_e2 * (1e-3 * chain.physics.read_pitch_um) ** 2
-    return frequency, neq(np.abs(sensor_mtf(chain, frequency, np.zeros(1))), noise, mean_e)
+    return frequency, neq(np.abs(sensor_mtf(chain, frequency, np.zeros(1))), noise, mean_e * (1 - veiled(chain).stray))
 
 
 INFORMATION = Metric(
@@ -420,7 +449,10 @@ def _niirs(judged: Judged) -> tuple[float]:
     physics, camera = chain.physics, chain.facts.camera
     along, mtf = _mtf_along(chain)
     rer = relative_edge_response(along * 1e-3 * physics.read_pitch_um, mtf)
-    darker_e, brighter_e = (chain.white_e_per_s * time_s * reflectance for reflectance in sorted(options.reflectances))
+    veil = veiled(chain)
+    stray_e = veil.stray * float(chain.signal_e_per_s.mean()) * time_s
+    white_e = veil.kept * chain.white_e_per_s * time_s
+    darker_e, brighter_e = (white_e * reflectance + stray_e for reflectance in sorted(options.reflectances))
     if brighter_e >= (most_e := full_e(chain, time_s)):
         got = f"{brighter_e:.3g} e- of the brighter surface in pixels of {physics.pitch_um:g} µm, full at {most_e:.3g} e-"
         allowed = "surfaces that the frame tells apart"

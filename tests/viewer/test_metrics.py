@@ -21,12 +21,13 @@ from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import read_out, sample_sensor
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.judged import Judged, Judging
+from pixsim.viewer.judges.interpretability import niirs, relative_edge_response
 from pixsim.viewer.judges.non_prewhitening import npwe
 from pixsim.viewer.judges.sharpness import edge_mtf
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.metric_registry import METRICS, metrics_named
 from pixsim.viewer.metrics import NoNumberError, own_metric
-from pixsim.viewer.raw_metrics import codes_of_0, neq_along, sensor_mtf
+from pixsim.viewer.raw_metrics import _mtf_along, codes_of_0, neq_along, sensor_mtf
 from pixsim.viewer.score import ImagingChain, make_imaging_chain
 
 CELL_UM, WHITE = 2.0, 100.0
@@ -353,6 +354,45 @@ def test_neq_is_the_quanta_less_noise_and_blur() -> None:
     lens = float(pixsim.optics.diffraction_otf(125.0, 550.0, CAMERA.effective_f_number))
     assert neq[-1] == pytest.approx(at_0 * (lens * 2 / math.pi) ** 2, rel=1e-4), "and the sinc of a pixel at Nyquist"
     assert np.isnan(neq_along(chain, 1e3)[1]).all(), "all pixels are full"
+
+
+def test_veil_is_noise_and_no_signal_to_quanta_and_information() -> None:
+    """An even field whose veil is the share v of what pixels see has the NEQ of (1 - v)² of its quanta squared. To rounding.
+
+    With the glare g, and s times as much from outside, v = g (1 + s)/(1 + g s), and pixels see 1 + g s times the light.
+    """
+    g, outside = 0.2, 3.0
+    camera = CAMERA.model_copy(update={"veiling_glare": g, "veiling_glare_outside": outside})
+    plain = chain_of(EVEN)
+    chain = make_imaging_chain(EVEN, camera, PIXEL, EXPOSURE, DISPLAY, judging=Judging(metrics_named(["information"])))
+    own = 0.02 * float(plain.signal_e_per_s.mean())
+    of_pixels = own * (1 + g * outside)
+    assert 0.02 * float(chain.signal_e_per_s.mean()) == pytest.approx(of_pixels, rel=1e-6)
+    noise = of_pixels + 16.0 + 1 / (12 * chain.physics.dn_per_e**2)
+    assert neq_along(chain, 0.02)[1][0] == pytest.approx((own * (1 - g)) ** 2 / noise / 0.004**2, rel=1e-6)
+    found = [
+        pixsim.evaluate(EVEN, each, PIXEL, EXPOSURE, DISPLAY, metrics=["information"]).metrics["information"]
+        for each in (CAMERA, camera.model_copy(update={"veiling_glare_outside": 0.0}), camera)
+    ]
+    assert found[0] > found[1] > found[2], "stray light from outside brings no information"
+
+
+def test_veil_takes_contrast_from_the_surfaces_of_niirs() -> None:
+    """Their difference is 1 - g of that without, and both have the veil's shot noise: as an SNR that much lower. To rounding."""
+    g = 0.2
+    camera = CAMERA.model_copy(update={"veiling_glare": g, "object_distance_m": 1000.0})
+    own = camera.without_veil, camera
+    found = [pixsim.evaluate(EVEN, each, PIXEL, EXPOSURE, DISPLAY, metrics=["niirs"]).metrics["niirs"] for each in own]
+    chain = make_imaging_chain(EVEN, camera.without_veil, PIXEL, EXPOSURE, DISPLAY)
+    white, even = 0.02 * chain.white_e_per_s, 0.02 * float(chain.signal_e_per_s.mean())
+    fixed = 16.0 + 1 / (12 * chain.physics.dn_per_e**2)
+    plain = 0.08 * white / math.sqrt(0.15 * white + fixed)
+    veiled = 0.08 * white * (1 - g) / math.sqrt(0.15 * white * (1 - g) + g * even + fixed)
+    ground_m = 1e-6 * 4.0 / abs(camera.magnification)
+    along, mtf = _mtf_along(make_imaging_chain(EVEN, camera, PIXEL, EXPOSURE, DISPLAY, judging=Judging(metrics_named(["niirs"]))))
+    rer = relative_edge_response(along * 0.004, mtf)
+    assert found == pytest.approx([niirs(rer, ground_m, snr) for snr in (plain, veiled)], rel=1e-6)
+    assert found[0] > found[1]
 
 
 def test_information_of_a_stated_spectrum_does_not_depend_on_the_film() -> None:
