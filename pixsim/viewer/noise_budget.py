@@ -1,9 +1,9 @@
 """What a frame's noise and its mean ΔE are made of, cause by cause: each is switched off in turn, and stays off.
 
 Noise first, from the codes back to the light: rounding by the ADC, then each source of `pixsim.sensor.noise` from the last to the
-first, shot noise of dark charge, and that of light. Then what `delta_e_parts` tells of colours: mosaic, crosstalk and shading,
-colour error. Then motion, and the blur in the order of the light: veiling glare, lens, light and charge of neighbours, sampling
-and the display's interpolation, and the pixel's aperture. What is left is the remainder.
+first, shot noise of dark charge, and that of light; then noise reduction, for what it blurs. Then what `delta_e_parts` tells of
+colours: mosaic, crosstalk and shading, colour error. Then motion, and the blur in the order of the light: veiling glare, lens,
+light and charge of neighbours, sampling and the display's interpolation, and the pixel's aperture. What is left is the remainder.
 
 Variances add: those of all causes together are that of the frame. Contributions to ΔE do not: where several faults hide one
 another, a cause takes off more the later it is switched off, and one that is nearly nothing may take off a little less than 0, by
@@ -45,6 +45,7 @@ from pixsim.viewer.display import means_on_dots, white_rate
 from pixsim.viewer.parts import Parts, at_every_pixel, delta_e_parts, noiseless_frame
 from pixsim.viewer.score import ImagingChain, PreparedScene, shown
 
+REDUCTION = "noise reduction"
 SHOT, DARK, ROUNDING = "shot noise of light", "shot noise of dark charge", "rounding by the ADC"
 SAMPLING, APERTURE = "sampling and interpolation", "pixel aperture"
 MOTION, VEIL, LENS, NEIGHBOURS = "motion", "veiling glare", "lens", "neighbours"
@@ -96,7 +97,8 @@ def noise_budget(
     measured = (frame.dn - frame.black_level_dn) / frame.dn_per_e - frame.mean_dark_e - frame.mean_e
     still = noiseless_frame(chain, time_s)
     parts = delta_e_parts(irradiance, camera, physics, light, chain, *key)
-    noise = delta_e_of_noise(chain, frame, parts, variances, key)
+    reduced = chain.score_frame(still).mean_delta_e - parts.mean_delta_e + parts.noise if chain.develop.denoises else 0.0
+    noise = delta_e_of_noise(chain, frame, parts, variances, reduced, key)
     others = {"mosaic": parts.mosaic, "crosstalk and shading": parts.crosstalk, "colour error": parts.colour_error}
     blur, remainder = delta_e_of_blur(irradiance, camera, physics, light, chain, still, parts.blur)
     coloured = others if light.rendition is not None else {}
@@ -106,7 +108,7 @@ def noise_budget(
         measured_e=float(np.sqrt(np.mean(np.square(measured)))),
         render_e=render_noise_of(irradiance) * float(np.sqrt(np.mean(np.square(frame.mean_e)))),
         mean_delta_e=parts.mean_delta_e,
-        delta_e=noise | coloured | blur,
+        delta_e=noise | ({REDUCTION: reduced} if chain.develop.denoises else {}) | coloured | blur,
         remainder_delta_e=remainder,
     )
 
@@ -140,14 +142,17 @@ def finer_adc(physics: PixelPhysics) -> PixelPhysics:
 
 
 def delta_e_of_noise(
-    chain: ImagingChain, frame: Frame, parts: Parts, variances: dict[str, float], key: tuple[object, ...]
+    chain: ImagingChain, frame: Frame, parts: Parts, variances: dict[str, float], reduced: float, key: tuple[object, ...]
 ) -> dict[str, float]:
-    """Return what each cause of noise takes off the mean ΔE, in the order of `variances`; together `Parts.noise`."""
+    """Return what each cause of noise takes off the mean ΔE, in the order of `variances`; with `reduced` it is `Parts.noise`.
+
+    reduced : what leaving out noise reduction takes off then
+    """
     exposure = lasting(chain.exposure, frame.integration_s)
     physics, steps = chain.physics, [parts.mean_delta_e]
     for name in variances:
         if name == SHOT:
-            steps.append(parts.mean_delta_e - parts.noise)
+            steps.append(parts.mean_delta_e - parts.noise + reduced)
             continue
         if name == ROUNDING:
             physics = finer_adc(physics)

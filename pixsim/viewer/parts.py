@@ -1,9 +1,9 @@
 """What a picture's ΔE is made of: noise, mosaic, crosstalk, colour error and blur, each left out in turn.
 
-In this order, on which they depend: the whole; without noise, fixed pattern and codes of the ADC; without the mosaic, every pixel
-knowing each channel as that channel's pixels would record it there; without crosstalk of colours, where the light of neighbours
-passed this pixel's filter, and without shading; without colour error, with channels that are the observer's. What is left then is
-the blur of lens, pixels, neighbours and display, and the display's codes.
+In this order, on which they depend: the whole; without noise, fixed pattern, codes of the ADC, and noise reduction with the blur
+that it makes; without the mosaic, every pixel knowing each channel as that channel's pixels would record it there; without
+crosstalk of colours, where the light of neighbours passed this pixel's filter, and without shading; without colour error, with
+channels that are the observer's. What is left then is the blur of lens, pixels, neighbours and display, and the display's codes.
 
 The matrix takes crosstalk of colours apart. That amplifies noise, which belongs to noise, and it sharpens, so that crosstalk's own
 part is small and may be below 0.
@@ -74,7 +74,7 @@ def delta_e_parts(
     whole = chain.simulate(*key).mean_delta_e
     time_s = integration_time_s(chain.exposure, chain.physics, float(chain.signal_e_per_s.max()))
     still = noiseless_frame(chain, time_s)
-    steps = [whole, chain.score_frame(still).mean_delta_e]
+    steps = [whole, undenoised(chain).score_frame(still).mean_delta_e]
     if light.rendition is not None:
         own = replace(chain, collection=None, rendition=light.rendition, whites_e_per_s=light.whites_e_per_s(physics))
         pixels = centred_pixels(light.array_um, physics)
@@ -98,6 +98,11 @@ def delta_e_parts(
     noise, mosaic, crosstalk, colour_error = (before - after for before, after in pairwise(steps))
     dots = 1.0 if screen.dot_um is None else chain.physics.read_pitch_um / screen.dot_um
     return Parts(whole, noise, mosaic, crosstalk, colour_error, steps[-1], dots)
+
+
+def undenoised(chain: ImagingChain) -> ImagingChain:
+    """Return a chain whose development takes no noise away."""
+    return replace(chain, develop=chain.develop.model_copy(update={"denoise": "none"})) if chain.develop.denoises else chain
 
 
 def noiseless_frame(chain: ImagingChain, integration_s: float) -> Frame:

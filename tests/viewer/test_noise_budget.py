@@ -22,6 +22,7 @@ from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import frame_variance_dn2, sample_sensor
 from pixsim.show.render import text
 from pixsim.studies.parts import noise_budgets
+from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.noise_budget import (
@@ -29,6 +30,7 @@ from pixsim.viewer.noise_budget import (
     DARK,
     LENS,
     MOTION,
+    REDUCTION,
     ROUNDING,
     SAMPLING,
     SHOT,
@@ -37,8 +39,10 @@ from pixsim.viewer.noise_budget import (
     finer_adc,
     noise_budget,
 )
+from pixsim.viewer.parts import noiseless_frame, undenoised
 
 SIDE, SAMPLE_UM = 256, 2.0
+NM = [450.0, 550.0, 620.0]
 CAMERA = Camera(die_mm=SIDE * SAMPLE_UM / 1e3)
 DISPLAY = Display(dots=64, bits=16, white_cd_per_m2=2e3)
 # As large each as others: rounding by 10 bits is 4 e-.
@@ -108,6 +112,30 @@ def test_causes_that_are_not_there_take_off_nothing() -> None:
     fine = budget(light(), display=DISPLAY.model_copy(update={"raster": "one_to_one"}), **QUIET)
     assert SAMPLING not in fine.delta_e
     assert fine.remainder_delta_e == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.parametrize("pattern", [None, "rggb"])
+def test_blur_of_noise_reduction_is_its_own_and_not_that_of_the_lens(pattern: str | None) -> None:
+    """Mosaic, colour and blur are those without it, and its line is what it does to the expected frame. To rounding."""
+    filters = {"pattern": pattern, "sensitivities": "Sony_ILCE-7M4", "peak_quantum_efficiency": 0.5}
+    image = SpectralImage(NM, 60.0, SAMPLE_UM, data=light().data * np.array([0.3, 0.4, 0.3]))
+    found = []
+    for denoise in ("none", "wiener_bound"):
+        develop, pixel = Develop(denoise=denoise), Pixel(**ALL | ({"colour": filters} if pattern else {}))
+        imaging = Imaging(CAMERA, pixel, Exposure(integration_s=5e-5), DISPLAY, develop=develop)
+        prepared = imaging.light(image)
+        chain = imaging.chain(prepared)
+        found.append(noise_budget(image, CAMERA, imaging.physics, prepared, chain, "budget"))
+    plain, reduced = found
+    still = noiseless_frame(chain, 5e-5)
+    blur = chain.score_frame(still).mean_delta_e - undenoised(chain).score_frame(still).mean_delta_e
+    assert REDUCTION not in plain.delta_e
+    assert reduced.delta_e[REDUCTION] == pytest.approx(blur, abs=1e-12)
+    assert blur > 0.05
+    assert sum(reduced.delta_e.values()) + reduced.remainder_delta_e == pytest.approx(reduced.mean_delta_e, abs=1e-12)
+    others = {name: value for name, value in plain.delta_e.items() if name not in plain.electrons_e}
+    assert {name: reduced.delta_e[name] for name in others} == pytest.approx(others, abs=1e-9)
+    assert reduced.remainder_delta_e == pytest.approx(plain.remainder_delta_e, abs=1e-9)
 
 
 def test_motion_takes_off_what_it_adds() -> None:
