@@ -176,12 +176,18 @@ def sensor_words(sensor: Case[Run]) -> str:
     return f"{columns} × {rows} pixels of {sensor.settings.pixel.pitch_um:g} µm{technology} behind {sensor.camera.lens_words}"
 
 
+def shared_stages(lineup: Lineup) -> list[str]:
+    """Return what `stage_words` says of every sensor."""
+    first, *others = [stage_words(sensor.settings) for sensor in lineup.cases]
+    return [words for words in first if all(words in other for other in others)]
+
+
 def exposure_words(lineup: Lineup) -> str:
-    """Return the exposure rule of the sensors in words."""
-    exposures = [sensor.settings.exposure for sensor in lineup.cases]
+    """Return the exposure rule of the sensors, and the stages of the signal that all have, in words."""
+    exposures, stages = [sensor.settings.exposure for sensor in lineup.cases], shared_stages(lineup)
     if any(exposure != exposures[0] for exposure in exposures):
-        return "each sensor's own exposure rule"
-    exposure, stages = exposures[0], stage_words(lineup.cases[0].settings)
+        return ", ".join(["each sensor's own exposure rule", *stages])
+    exposure = exposures[0]
     if exposure.integration_s is not None:
         words = f"each exposed for {1e3 * exposure.times * exposure.integration_s:.3g} ms"
     else:
@@ -266,11 +272,12 @@ def judged_words(name: str, values: Mapping[str, Array]) -> str:
 def facts(result: Comparison) -> Iterator[Block]:
     """Yield a row for each sensor, the answers of conditions and sensor types, and what all have in common."""
     where = f" in {result.shown.lineup.condition}" if result.conditions else ""
-    rows = []
+    rows, shared = [], shared_stages(result.shown.lineup)
     for compared in result.sensors:
         time_ms = 1e3 * compared.score.frame.integration_s
         words = f"{sensor_words(compared.sensor)}, exposed for {time_ms:.3g} ms{where}"
-        rows.append((compared.name, f"mean {result.shown_mean(compared.name)}", words))
+        own = [each for each in stage_words(compared.sensor.settings) if each not in shared]
+        rows.append((compared.name, f"mean {result.shown_mean(compared.name)}", ", ".join([words, *own])))
     yield Table("sensors", (), rows, words=None)
     agreed = [other for other in result.names[1:] if not conditions_disagree(result, other)]
     conditions = [

@@ -21,6 +21,7 @@ from pixsim.base.errors import PixsimError
 from pixsim.optics.camera import Camera
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.sensor.integration import pixels_on
+from pixsim.show.document import Table
 from pixsim.studies import evaluations, oversampling
 from pixsim.studies.averages import Averaged
 from pixsim.studies.compare import series_of_sensor
@@ -30,7 +31,7 @@ from pixsim.studies.lineup import Lineup, pixels_of, prepare
 from pixsim.studies.matched_cameras import matched_cameras
 from pixsim.studies.oversampling import Light
 from pixsim.studies.paired import mean_interval, probability_above_zero
-from pixsim.studies.verdicts import ranking_words, verdict
+from pixsim.studies.verdicts import facts, ranking_words, verdict
 from pixsim.studies.viewing import Viewing, ViewingRange
 
 # A chart without samples, few pixels and dots: a comparison takes 0.2 s.
@@ -187,6 +188,19 @@ def test_own_exposure_and_shared_settings(tmp_path: Path) -> None:
         made = prepared([a, b])
     assert [each.settings.exposure.max_integration_s for each in made.cases] == [0.1, 0.01]
     assert made.settings.display.gamma == 2.2
+
+
+def test_bursts_and_motion_are_told_of_those_that_have_them(tmp_path: Path) -> None:
+    """A burst of one sensor stands in its line, motion of all in what they have in common, whatever their exposures are."""
+    burst = sheet(tmp_path / "burst.toml", more="[exposure]\nframes = 4\n")
+    motion = {"image_um_per_s": [50.0, 0.0]}
+    found = pixsim.compare([burst, sheet(tmp_path / "one.toml")], parameters=DIM, repeats=2, jobs=1, motion=motion, **SMALL)
+    table, *others = facts(found)
+    assert isinstance(table, Table)
+    told = ["each frame the sum of 4 exposures" in str(row) for row in table.rows]
+    assert told == [True, False]
+    assert not any("the image moves" in str(row) for row in table.rows)
+    assert "each sensor's own exposure rule, the image moves by 50, 0 µm/s" in str(others[-1])
 
 
 # --- frames and their statistics --------------------------------------------------------------------------------------
