@@ -1193,8 +1193,8 @@ def make_imaging_chain(
 
 def scored_border_um(physics: PixelPhysics, motion: Motion, exposure: Exposure, camera: Camera) -> float | None:
     """Return the border of a frame that is scored alone, with room for what moves; None: that of the pixel."""
-    read = physics.as_read
-    return border_with_room_um(read.border_um, motion, exposure, camera, [read.read_pitch_um]) if motion.is_on else None
+    border_um = physics.as_read.border_um
+    return border_with_room_um(border_um, motion, exposure, camera, [physics.pitch_um]) if motion.is_on else None
 
 
 def warn_of_other_camera(irradiance: SpectralImage, camera: Camera) -> None:

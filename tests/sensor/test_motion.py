@@ -31,7 +31,7 @@ from pixsim.studies.preparation import prepare
 from pixsim.studies.sampling import border_on_um
 from pixsim.studies.study_settings import Study
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.score import evaluate
+from pixsim.viewer.score import evaluate, scored_border_um
 from pixsim.viewer.setting import Run
 
 
@@ -230,6 +230,15 @@ def test_scored_frame_leaves_half_of_the_longest_path() -> None:
     assert np.diff(found, prepend=found[0]).tolist() == pytest.approx([0, 20, 30, 4 / 2 * (1 + 160 * 0.01) - 50], abs=1.0)
     study = Study(name="a", exposure=fast, motion=Motion(image_um_per_s=(4e4, 0.0)), camera=DIE, pitch={"max_um": 20.0})
     assert border_on_um(study, CAMERA) == study.border_um + 20.0
+
+
+def test_units_of_one_velocity_leave_the_same_room() -> None:
+    """Of pixels that are binned, too: pixels_per_s is about the pixels of the sensor, whose pitch is stated."""
+    colour = {"pattern": "quad_rggb", "sensitivities": "Sony_ILCE-7M4", "peak_quantum_efficiency": 0.6, "binning": True}
+    pixel, camera, exposure = Pixel(technology="4t-bsi", pitch_um=4.0, colour=colour), Camera(), Exposure(integration_s=1e-3)
+    each = Motion(pixels_per_s=(1e4, 0.0)), Motion(image_um_per_s=(4e4, 0.0))
+    first, other = (scored_border_um(derive(pixel), motion, exposure, camera) for motion in each)
+    assert first == other == pytest.approx(derive(pixel).as_read.border_um + 20.0)
 
 
 @pytest.mark.parametrize("margin_um", [None, 60.0])
