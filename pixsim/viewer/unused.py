@@ -373,6 +373,7 @@ RULES = (
         lambda c: "" if c.light is None else "the light of a picture is not rendered",
     ),
     Rule(("tolerance_e", "render_noise", "repeats"), of_calibration),
+    Rule(("noise_budget",), lambda c: "a comparison has none; pixsim run tells that of each sensor" if c.is_compared else ""),
     Rule(("metric.information.contrast", "metric.information.corner_cy_per_mm"), of_natural_spectrum),
     Rule(("metric.detectability.without",), of_without),
     Rule(("metric.detectability.registrations",), of_registrations),

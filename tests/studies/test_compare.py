@@ -190,6 +190,11 @@ def test_own_exposure_and_shared_settings(tmp_path: Path) -> None:
     assert made.settings.display.gamma == 2.2
 
 
+def test_comparison_says_that_it_has_no_noise_budget(tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match="noise_budget is not used: a comparison has none"):
+        prepared([sheet(tmp_path / "a.toml"), sheet(tmp_path / "b.toml")], noise_budget=True)
+
+
 def test_bursts_and_motion_are_told_of_those_that_have_them(tmp_path: Path) -> None:
     """A burst of one sensor stands in its line, motion of all in what they have in common, whatever their exposures are."""
     burst = sheet(tmp_path / "burst.toml", more="[exposure]\nframes = 4\n")
