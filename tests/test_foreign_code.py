@@ -77,7 +77,8 @@ def run(name: str, folder: Path, **variables: str) -> None:
 
 
 def test_each_command_is_here() -> None:
-    assert {*COMMANDS, "accuracy"} == {name for name in app if not name.startswith("-")}, "accuracy starts no process of its own"
+    others = {"accuracy", "explore"}  # the first starts no process of its own, the second stays until its page is closed
+    assert {*COMMANDS, *others} == {name for name in app if not name.startswith("-")}
 
 
 def test_no_module_of_the_current_folder_is_run(folder: Path) -> None:

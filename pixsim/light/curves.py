@@ -101,7 +101,7 @@ ALLOWED_SHARE = "0 or more and below 1, or a CSV file of wavelength in nm and su
 def as_share(value: Any) -> object:
     """A share below 1 as a number or pairs, from a number, pairs, or the path of a CSV file. ValueError if it is none."""
     if value is None:
-        return None
+        raise ValueError(f"got None; allowed: {ALLOWED_SHARE}")
     if isinstance(value, str | Path):
         try:
             value = float(value)  # type: ignore[arg-type]

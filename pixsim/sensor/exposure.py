@@ -49,7 +49,7 @@ class Exposure(Record):
     @model_validator(mode="after")
     def _rolling_shutter_has_a_line_time(self) -> Self:
         if self.shutter == "rolling" and self.line_time_us is None:
-            raise ValueError("shutter = 'rolling' without line_time_us; allowed: with the time from row to row, as 10.0")
+            raise ValueError("got shutter = 'rolling' without line_time_us; allowed: with the time from row to row, as 10.0")
         return self
 
     @property

@@ -59,9 +59,11 @@ def test_content_hash_ignores_order():
 
 
 def test_content_hash_depends_on_every_field():
-    values = Camera(die_height_mm=2.0).model_dump(exclude={"chief_ray_angle"})
+    veiled = Camera(die_height_mm=2.0, veiling_glare=0.1, veiling_glare_outside=0.1)
+    values = veiled.model_dump(exclude={"chief_ray_angle", "fall_off", "lens"})
     changed = [Camera(**{name: value * 0.99}) for name, value in values.items()]
     changed.append(Camera(chief_ray_angle=[[0, 0], [2, 20]]))
+    changed.append(Camera(fall_off=[[0, 1], [2, 0.5]]))
     lens = TracedLens(file="phone", focal_length_mm=3.86, f_number=4, field_mm=1.9, content="0")
     changed.append(Camera(lens=lens))
     assert len({camera.content_hash for camera in [Camera(), *changed]}) == 1 + len(Camera.model_fields)
