@@ -18,14 +18,23 @@ from scipy.special import stdtrit
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from benchmarks.five_judges import best_words, markdown
+from benchmarks.five_judges import JUDGES, best_words, markdown
 from helpers.documents import ROOT, blocks_of
 
 import pixsim
+from pixsim.studies.agreement import fits_of
+from pixsim.studies.optimum import FittedCurve
 from pixsim.studies.result import Curve, StudyResult
 
 PAGE = ROOT / "docs/processing.md"
 AXIS = "processing"
+LIGHT = "10 cd"  # of judges.toml
+SHOWN = {name: JUDGES[name] for name in ("delta_e", "visual_noise")} | {"npwe": "d′ by eye"}
+
+
+def best_and_value(fit: FittedCurve) -> str:
+    """The best size in µm with its 95 % interval, and the value there."""
+    return f"{best_words(fit)}: {fit.optimum.value:.3g}"
 
 
 def moved(raw: Curve, other: Curve) -> str:
@@ -53,11 +62,23 @@ def sizes_of(results: dict[str, StudyResult]) -> tuple[str, str]:
     lights = list(curves["raw"])
     best, moves = [(AXIS, *lights)], [(AXIS, *lights)]
     for name, own in curves.items():
-        values = (f"{best_words(own[light].fit)}: {own[light].fit.optimum.mean_delta_e:.3g}" for light in lights)
-        best.append((name, *values))
+        best.append((name, *(best_and_value(own[light].fit) for light in lights)))
         if name != "raw":
             moves.append((name, *(moved(curves["raw"][light], own[light]) for light in lights)))
     return markdown(best), markdown(moves)
+
+
+def by_judge(of_chart: StudyResult, of_target: StudyResult) -> str:
+    """Best size and value of each processing by each judge of the shown picture that has a number behind it.
+
+    of_chart : the study `processing`, of which ΔE in the light of the target is taken
+    """
+    chart = {curve.at[AXIS]: curve.fit for curve in of_chart.curves if curve.condition == LIGHT}
+    rows = [(f"{AXIS}, {LIGHT}", *SHOWN.values())]
+    for curve in of_target.curves:
+        fits = {"delta_e": chart[curve.at[AXIS]]} | fits_of(curve)
+        rows.append((str(curve.at[AXIS]), *(best_and_value(fits[name]) if name in fits else "–" for name in SHOWN)))
+    return markdown(rows)
 
 
 def small_and_large(result: StudyResult) -> str:
@@ -89,8 +110,10 @@ def main() -> None:
         folder = options.out / f"{Path(of).stem}{'-quick' * quick}"
         return pixsim.study(str(options.out / of) if of in files else of, folder, quick=quick, jobs=options.jobs)
 
+    lights = study(AXIS, options.quick)
     made = (
-        *sizes_of({"paper, 1000 cd": study("paper.toml"), AXIS: study(AXIS, options.quick)}),
+        *sizes_of({"paper, 1000 cd": study("paper.toml"), AXIS: lights}),
+        by_judge(lights, study("judges.toml")),
         small_and_large(study("two_sizes.toml")),
     )
     print("\n\n".join(made))
