@@ -141,7 +141,7 @@ def test_sensors_of_a_comparison_share_one_white(tmp_path: Path) -> None:
         seen = Seen(
             sensor.irradiance, sensor.sensor.camera, sensor.score.physics, result.shown.lineup.border_um(sensor.sensor.camera)
         )
-        assert np.mean(seen.luminance_cd_per_m2(result.shown.lineup.settings.display) > first) <= 0.01
+        assert np.mean(seen.amount(result.shown.lineup.settings.display) > first) <= 0.01
 
 
 # --- light that nobody sees ---
