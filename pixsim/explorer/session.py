@@ -52,7 +52,7 @@ class Asked(NamedTuple):
     curve: bool = False
 
     @classmethod
-    def of(cls, message: Any) -> Asked:
+    def of(cls, message: Mapping[str, Any]) -> Asked:
         """Return a request from JSON. Raises PixsimError for another message."""
         try:
             sensors = tuple((int(each["preset"]), dict(each["set"])) for each in message["sensors"])

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 from pydantic import BeforeValidator, Field, WithJsonSchema
 
@@ -24,18 +24,18 @@ ALLOWED_NM = (100.0, 2000.0)
 ALLOWED = "wavelengths in nm that increase, 100 to 2000, each with a quantum efficiency of 0 to 1, not all of them 0"
 
 
-def as_quantum_efficiency(value: Any) -> object:
+def as_quantum_efficiency(value: object) -> object:
     """Quantum efficiency as a number or pairs, from a number, pairs, or the path of a CSV file. ValueError if it is neither."""
     if value is None:
         return None
     if isinstance(value, str | Path):
         try:
-            value = float(value)  # type: ignore[arg-type]
-        except (ValueError, TypeError):  # TypeError: `value` is a Path
-            if (per_cent := re.fullmatch(r"\s*(\d{1,3}(?:\.\d{1,9})?)\s*%\s*", str(value))) and not Path(value).exists():
+            value = float(str(value))
+        except ValueError:
+            if (per_cent := re.fullmatch(r"\s*(\d{1,3}(?:\.\d{1,9})?)\s*%\s*", str(value))) and not Path(str(value)).exists():
                 number = float(per_cent[1])
                 raise ValueError(f"got '{value}'; allowed: a fraction: {number:g} % is {number / 100:g}") from None
-            return read_curve(Path(value))
+            return read_curve(Path(str(value)))
     if isinstance(value, int | float):
         value = as_float(value)
         if 1 < value <= 100:
@@ -44,7 +44,7 @@ def as_quantum_efficiency(value: Any) -> object:
             raise ValueError(f"got {value:g}; allowed: greater than 0, up to 1; or a CSV file of wavelength in nm and value")
         return value
     try:
-        pairs = tuple((as_float(nm), as_float(efficiency)) for nm, efficiency in value)
+        pairs = tuple((as_float(nm), as_float(efficiency)) for nm, efficiency in cast("Iterable[tuple[object, object]]", value))
     except (TypeError, ValueError):
         raise ValueError(
             "got neither a number, nor a file, nor a list of pairs; allowed: 0.6, 'qe.csv', or [[400, 0.3], [550, 0.6]]"
@@ -98,15 +98,15 @@ def _check_curve(pairs: EfficiencyCurve, source: str) -> EfficiencyCurve:
 ALLOWED_SHARE = "0 or more and below 1, or a CSV file of wavelength in nm and such shares"
 
 
-def as_share(value: Any) -> object:
+def as_share(value: object) -> object:
     """A share below 1 as a number or pairs, from a number, pairs, or the path of a CSV file. ValueError if it is none."""
     if value is None:
         raise ValueError(f"got None; allowed: {ALLOWED_SHARE}")
     if isinstance(value, str | Path):
         try:
-            value = float(value)  # type: ignore[arg-type]
-        except (ValueError, TypeError):  # TypeError: `value` is a Path
-            table = read_table(Path(value), "share", ALLOWED_SHARE, 1, MAX_FILE_BYTES, ALLOWED_NM)
+            value = float(str(value))
+        except ValueError:
+            table = read_table(Path(str(value)), "share", ALLOWED_SHARE, 1, MAX_FILE_BYTES, ALLOWED_NM)
             columns = [zip(map(float, table.nm), map(float, each.values), strict=True) for each in table.columns]
             return _check_shares(tuple(columns[0]) if columns else (), f"'{value}'")
     if isinstance(value, int | float):
@@ -116,7 +116,7 @@ def as_share(value: Any) -> object:
             raise ValueError(f"got {value:g}; allowed: {ALLOWED_SHARE}{hint}")
         return value
     try:
-        pairs = tuple((as_float(nm), as_float(share)) for nm, share in value)
+        pairs = tuple((as_float(nm), as_float(share)) for nm, share in cast("Iterable[tuple[object, object]]", value))
     except (TypeError, ValueError):
         raise ValueError(f"got neither a number, nor a file, nor a list of pairs; allowed: {ALLOWED_SHARE}") from None
     return _check_shares(pairs, "a list")

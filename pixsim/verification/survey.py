@@ -143,7 +143,7 @@ def accuracy(
     (True, True)
     """
     tables = {"camera": camera, "lens": lens, "pixel": pixel, "exposure": exposure, "motion": motion}
-    tables |= {"correction": correction, "develop": with_functions(develop), "display": display, "scene": parameters}
+    tables |= {"correction": correction, "develop": develop and with_functions(develop), "display": display, "scene": parameters}
     settings = run_settings(config, {name: value for name, value in (tables | {"seed": seed}).items() if value is not None})
     stage = progress or no_stage
     return survey(os.fspath(scene), settings, quick=quick, sensor=sensor, variant=variant, progress=stage)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, cast
 
 from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema, model_validator
 
@@ -20,6 +20,9 @@ from pixsim.light.curves import MAX_FILE_BYTES
 from pixsim.light.tables import as_number, read_cells
 from pixsim.sensor.colour_options import BAYER, binned_cell, channels_of
 from pixsim.sensor.pixel_options import PixelOptions
+
+if TYPE_CHECKING:
+    from pixsim.base.arrays import Array
 
 Gain = Annotated[float, Field(ge=1e-6, le=1e6)]
 DENOISERS = ("none", "wiener_bound", "nlm", "wavelet")
@@ -49,8 +52,9 @@ class OwnDenoiser:
     function: Callable[[Any, float], Any] = field(repr=False)
     text: str
 
-    def __call__(self, plane: Any, strength: float) -> Any:
-        return self.function(plane, strength)
+    def __call__(self, plane: Array, strength: float) -> Array:
+        found: Array = self.function(plane, strength)
+        return found
 
     def __reduce__(self) -> tuple[type[OwnDenoiser], tuple[object, str]]:
         return OwnDenoiser, (by_value(self.function), self.text)
@@ -85,17 +89,18 @@ def function_of(text: str) -> OwnDenoiser:
     return own_denoiser(found)
 
 
-def with_functions(develop: Any) -> Any:
-    """Return fields of [develop] that stand in Python, whose 'module:function' has become the function; all else as it is."""
-    text = develop.get("denoise") if isinstance(develop, dict) else None
+def with_functions(develop: Mapping[str, Any]) -> dict[str, Any]:
+    """Return fields of [develop] that stand in Python, whose 'module:function' has become the function."""
+    text = develop.get("denoise")
     if isinstance(text, str) and ":" in text and text not in _functions:
         return {**develop, "denoise": function_of(text)}
-    return develop
+    return dict(develop)
 
 
 def of_python(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return tables of settings that stand in Python, with functions as of `with_functions`."""
-    return {name: with_functions(table) if name == "develop" else table for name, table in settings.items()}
+    table = settings.get("develop")
+    return {**settings, "develop": with_functions(table)} if isinstance(table, Mapping) else dict(settings)
 
 
 def _as_denoiser(value: object) -> object:
@@ -126,7 +131,7 @@ Denoise = Annotated[
 # --- a tone curve in a file ------------------------------------------------------------------------------------------------------
 
 
-def as_tone_curve(value: Any) -> object:
+def as_tone_curve(value: object) -> object:
     """Return the name of a tone curve, or rows of light and value, from rows or from the path of a CSV file.
 
     ValueError if it is neither, or if a value falls as the light rises.
@@ -134,7 +139,7 @@ def as_tone_curve(value: Any) -> object:
     if isinstance(value, str | Path):
         return value if value in TONE_CURVES else _read_tone_table(Path(value))
     try:
-        rows = tuple((as_float(light), as_float(out)) for light, out in value)
+        rows = tuple((as_float(light), as_float(out)) for light, out in cast("Iterable[tuple[object, object]]", value))
     except (TypeError, ValueError):
         got = "got neither a name, nor a file, nor a list of pairs"
         raise ValueError(f"{got}; allowed: {ALLOWED_TONE}, or [[0, 0], [0.2, 0.5], [1, 1]]") from None
@@ -256,8 +261,7 @@ class Develop(Record):
 
     @classmethod
     def _of_python(cls, fields: dict[str, Any]) -> dict[str, Any]:
-        found: dict[str, Any] = with_functions(fields)
-        return found
+        return with_functions(fields)
 
     @model_validator(mode="after")
     def _radius_is_stated_once(self) -> Self:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 import scipy  # whose parts are imported when they are used
@@ -427,7 +427,7 @@ STEPS: Mapping[str, Step] = {
 }
 
 
-def developed(values: Any, c: Developing, works_on: str, but: Sequence[str] = ()) -> Any:
+def _through_steps(values: object, c: Developing, works_on: str, but: Sequence[str] = ()) -> object:
     """Return what the steps of one kind make of what the first of them takes.
 
     but : names of steps that are left out
@@ -438,6 +438,16 @@ def developed(values: Any, c: Developing, works_on: str, but: Sequence[str] = ()
     return values
 
 
+def developed(planes: list[Array], c: Developing) -> list[Array]:
+    """Return developed planes, (rows, columns) for each channel, of demosaiced ones."""
+    return cast("list[Array]", _through_steps(planes, c, PLANES))
+
+
+def light_of_dots(means: list[Array], c: Developing) -> Array:
+    """Return the light of the display's primaries, (H, W) or (3, H, W), before the tone curve, of means over dots of each plane."""
+    return cast("Array", _through_steps(means, c, SHOWN, but=("tone_curve",)))
+
+
 def developed_planes(c: Developing) -> list[Array]:
     """Return the channels of a frame at each of its pixels, [(rows, columns)] each, 1 for the scene's white in every one.
 
@@ -446,8 +456,7 @@ def developed_planes(c: Developing) -> list[Array]:
     raw_e = c.frame.electrons
     if c.layout is not None:  # before noise reduction, which leaves less of a saturated pixel
         c = replace(c, full=np.asarray(raw_e >= SATURATED * c.physics.saturation_e - c.frame.mean_dark_e))
-    planes: list[Array] = developed(developed(raw_e, c, RAW), c, PLANES)
-    return planes
+    return developed(cast("list[Array]", _through_steps(raw_e, c, RAW)), c)
 
 
 def noise_covariance(c: Developing, levels: Array, dot_um: float | None, works_on: Sequence[str] = (RAW, PLANES)) -> Array:

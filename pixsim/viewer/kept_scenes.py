@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from typing import Any
+from typing import Any, TypeVar
 
 from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage
@@ -12,8 +12,9 @@ from pixsim.sensor.colour import Layout
 from pixsim.sensor.integration import ChannelLight, electrons_per_joule, lights_of
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.score import PreparedScene, prepare_scene
+from pixsim.viewer.score import HEADER_OF_WHITE, PreparedScene, prepare_scene
 
+T = TypeVar("T")
 KEPT = 4  # prepared scenes, and lights behind the lens; each has some 20 MB at 1024 samples across
 
 
@@ -34,7 +35,7 @@ class KeptScenes:
         charge = physics.charge.content_hash if physics.charge else ""
         seen = id(irradiance), content_hash([*parts, charge]), electrons
         geometry = read.read_pitch_um, read.border_um, read.registration
-        white = irradiance.header.get("luminance_cd_per_m2")
+        white = tuple(irradiance.header.get(name) for name in HEADER_OF_WHITE.values())
         asked = display.content_hash, full, white, *((name, id(value)) for name, value in more.items() if name == "without")
         key = (*seen, geometry, asked, repr({name: value for name, value in more.items() if name != "without"}))
         if key not in self._scenes:
@@ -51,7 +52,7 @@ class KeptScenes:
                 del known[key]
 
 
-def _keep(known: dict[Hashable, Any], key: Hashable, made: Any) -> None:
+def _keep(known: dict[Hashable, T], key: Hashable, made: T) -> None:
     """Add an entry as the last one; the first goes if there are too many."""
     while len(known) >= KEPT:
         del known[next(iter(known))]

@@ -40,7 +40,7 @@ from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.quantities import MAX_CODE_BITS
 from pixsim.sensor.readout import Frame, lasting
 from pixsim.viewer.develop import white_y, xyz_weights
-from pixsim.viewer.develop_steps import PLANES, developed
+from pixsim.viewer.develop_steps import developed
 from pixsim.viewer.display import means_on_dots, white_rate
 from pixsim.viewer.parts import Parts, at_every_pixel, delta_e_parts, noiseless_frame
 from pixsim.viewer.score import ImagingChain, PreparedScene, shown
@@ -193,7 +193,7 @@ def delta_e_of_blur(
     def of_pixels(rates: list[Array], shares: bool, moving: Moving = STANDING) -> float:
         planes = [at_every_pixel(rate, light, physics, collection, moving, shares=shares) / white for rate in rates]
         c = chain.developing(still, None if rendition is None else matrix)
-        return delta_e_on(chain.mixed_on_dots(developed(planes, c, PLANES), c))
+        return delta_e_on(chain.mixed_on_dots(developed(planes, c), c))
 
     names: list[str] = []
     steps = [whole]

@@ -37,7 +37,7 @@ from pixsim.sensor.motion import STANDING, LightSpectrum, Moving
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import Frame, integration_time_s, lasting, make_frame
 from pixsim.viewer.develop import white_y, xyz_weights
-from pixsim.viewer.develop_steps import PLANES, developed
+from pixsim.viewer.develop_steps import developed
 from pixsim.viewer.score import ImagingChain, PreparedScene, shown
 
 
@@ -91,7 +91,7 @@ def delta_e_parts(
         recorded = (_mixed_at_every_pixel(light, physics, chain), chain.matrix) if chain.collection else (planes, own.matrix)
         for channels, matrix in (recorded, (planes, own.matrix), (observed, light.rendition.to_display)):
             c = own.developing(still, matrix)
-            picture = own.toned(own.mixed_on_dots(developed(list(channels), c, PLANES), c))
+            picture = own.toned(own.mixed_on_dots(developed(list(channels), c), c))
             steps.append(float(screen.delta_e_of(shown(picture, screen.display)).mean()))
     else:
         steps += [steps[-1]] * 3

@@ -72,7 +72,7 @@ from pixsim.viewer.causes import causes_of, lightness_range
 from pixsim.viewer.colour_matrix import metamerism_index
 from pixsim.viewer.develop import Rendition, ideal_rgb, rendition_of
 from pixsim.viewer.develop_options import DEVELOP, Develop, check_develop
-from pixsim.viewer.develop_steps import SHOWN, Developing, developed, developed_planes, noise_covariance
+from pixsim.viewer.develop_steps import Developing, developed_planes, light_of_dots, noise_covariance
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.judged import DELTA_E_ONLY, Judged, Judging, frame_statistics, numbers_of
 from pixsim.viewer.judges.information_density import radial_spectrum
@@ -608,7 +608,7 @@ class ImagingChain:
         """
         screen, frame = self.screen, c.frame
         own = screen.size_um, screen.display, screen.dot_edges_um, frame.registration
-        light: Array = developed([displays.on_dots(plane, frame.pitch_um, *own) for plane in planes], c, SHOWN, but=("tone_curve",))
+        light = light_of_dots([displays.on_dots(plane, frame.pitch_um, *own) for plane in planes], c)
         if window is None:
             return light
         return window(light) if light.ndim == 2 else np.stack([window(plane) for plane in light])
