@@ -29,6 +29,7 @@ from pixsim.studies.run import LIGHT_FILE, LitRun, RunJob, RunResult, light_run,
 from pixsim.viewer.kept_scenes import KeptScenes
 from pixsim.viewer.metric_registry import METRICS
 from pixsim.viewer.metrics import DELTA_E
+from pixsim.viewer.score import HEADER_OF_WHITE
 from pixsim.viewer.settings_file import run_settings
 
 MOST_LIGHTS, MOST_SENSORS = 3, 2  # in memory; side by side
@@ -169,8 +170,7 @@ class Session:
 
     def _job(self, asked: Asked, number: int) -> RunJob:
         """Return the prepared run of a sensor."""
-        preset, tables = self._settings(asked, number)
-        source = self.source
+        (preset, tables), source = self._settings(asked, number), self.source
         if isinstance(source, SpectralImage):  # a run writes the white into the header of its light
             source = copy(source)
             source.header = dict(source.header)
@@ -277,5 +277,5 @@ class Session:
 
 def _bare(header: Mapping[str, Any]) -> dict[str, Any]:
     """Return a header without the white that was estimated for a pixel."""
-    estimated = ("luminance_cd_per_m2", "white_from") if "white_from" in header else ()
+    estimated = (*HEADER_OF_WHITE.values(), "white_from") if "white_from" in header else ()
     return {name: value for name, value in header.items() if name not in estimated}
