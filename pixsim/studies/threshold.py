@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from scipy.optimize import brentq
+import scipy  # whose parts are imported when they are used
 
 from pixsim.base.caller import parameter, setting
 from pixsim.base.errors import PixsimError, invalid
@@ -132,5 +132,5 @@ def threshold_of(job: Job[Run], demand: Demand, light: Light, d_prime: float, pr
         if min(at.values()) <= 0 <= max(at.values()):
             low = max((each for each in at if at[each] <= 0), key=at.__getitem__)
             high = min((each for each in at if at[each] >= 0), key=at.__getitem__)
-            value, reason = start * math.exp(low if low == high else brentq(excess, low, high, xtol=WITHIN)), ""
+            value, reason = start * math.exp(low if low == high else scipy.optimize.brentq(excess, low, high, xtol=WITHIN)), ""
     return Threshold(name, options.threshold, value, tuple(tried), reason)
