@@ -30,7 +30,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.explorer.session import Asked, Session
+from pixsim.explorer.session import PageRequest, Session
 
 HOST = "127.0.0.1"
 FILES = {"/": ("page.html", "text/html"), "/page.js": ("page.js", "text/javascript"), "/page.css": ("page.css", "text/css")}
@@ -100,7 +100,7 @@ class Pages:
             await page.send_json(self.session.hello())
             while True:
                 try:
-                    self.session.ask(Asked.of(await page.receive_json()))
+                    self.session.ask(PageRequest.of(await page.receive_json()))
                 except PixsimError as error:
                     await page.send_json({"error": str(error)})
         except (WebSocketDisconnect, TimeoutError, KeyError, ValueError, RecursionError):

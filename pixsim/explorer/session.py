@@ -44,7 +44,7 @@ class SupersededError(BaseException):
     """Other settings came, or the page was closed: what is being computed is no longer asked for."""
 
 
-class Asked(NamedTuple):
+class PageRequest(NamedTuple):
     """What a page asks for: a preset and values of controls for each sensor, metrics beside ΔE, and perhaps a curve."""
 
     number: int
@@ -53,7 +53,7 @@ class Asked(NamedTuple):
     curve: bool = False
 
     @classmethod
-    def of(cls, message: Mapping[str, Any]) -> Asked:
+    def of(cls, message: Mapping[str, Any]) -> PageRequest:
         """Return a request from JSON. Raises PixsimError for another message."""
         try:
             sensors = tuple((int(each["preset"]), dict(each["set"])) for each in message["sensors"])
@@ -83,11 +83,11 @@ class Session:
 
     def __post_init__(self) -> None:
         self._wake, self._ended, self._told_s = threading.Event(), False, 0.0
-        self._asked: Asked | None = None
+        self._asked: PageRequest | None = None
         self._lights: dict[str, LitRun] = {}  # the last one last
         self._scenes, self._points = KeptScenes(), dict[str, list[float]]()
         self.presets, self.controls = presets_of(self.config, self.tables), controls_of((), ())
-        first = self._job(Asked(0, ((0, {}),)), 0)  # bad input is refused before a page opens
+        first = self._job(PageRequest(0, ((0, {}),)), 0)  # bad input is refused before a page opens
         self.title = first.source if isinstance(self.source, str) else "light in memory"
         if first.cases[0].picture is None:
             scene = first.cases[0].scene
@@ -101,7 +101,7 @@ class Session:
         controls = [asdict(control) | {"of_all": control.of_all} for control in self.controls]
         return {"hello": {"title": self.title, "presets": presets, "metrics": others, "controls": controls, "sensors": REPEATS}}
 
-    def ask(self, asked: Asked) -> None:
+    def ask(self, asked: PageRequest) -> None:
         """Drop what is asked for now, and compute this."""
         self._asked = asked
         self._wake.set()
@@ -130,7 +130,7 @@ class Session:
                 words = str(error) or "out of memory: take larger pixels, or a smaller part of the die"
                 self.send({"number": asked.number, "error": words})
 
-    def answer(self, asked: Asked) -> None:
+    def answer(self, asked: PageRequest) -> None:
         """Send the pictures of a request as soon as they are known, then with their errors, then curves."""
         jobs, found = [], []
         for number in range(len(asked.sensors)):
@@ -153,7 +153,7 @@ class Session:
                 self.send({"number": asked.number, "sensor": number, "point": point})
         self.send({"number": asked.number, "done": True})
 
-    def _settings(self, asked: Asked, number: int) -> tuple[Preset, dict[str, Any]]:
+    def _settings(self, asked: PageRequest, number: int) -> tuple[Preset, dict[str, Any]]:
         """Return the preset of a sensor, and its options. Raises PixsimError for what this page does not have."""
         place, values = asked.sensors[number]
         controls = {control.path: control for control in self.controls}
@@ -168,7 +168,7 @@ class Session:
         )
         return self.presets[place], tables | ({"metrics": (DELTA_E.name, *asked.metrics)} if asked.metrics else {})
 
-    def _job(self, asked: Asked, number: int) -> RunJob:
+    def _job(self, asked: PageRequest, number: int) -> RunJob:
         """Return the prepared run of a sensor."""
         (preset, tables), source = self._settings(asked, number), self.source
         if isinstance(source, SpectralImage):  # a run writes the white into the header of its light
@@ -176,7 +176,7 @@ class Session:
             source.header = dict(source.header)
         return prepare(source, run_settings(preset.config, tables), repeats=REPEATS, **self.given)
 
-    def _stage(self, asked: Asked) -> Callable[[str], Progress]:
+    def _stage(self, asked: PageRequest) -> Callable[[str], Progress]:
         """Return stages that tell the page what is done, and end when other settings come."""
 
         def stage(name: str) -> Progress:
@@ -223,7 +223,7 @@ class Session:
         self._scenes.drop_all_but([each.irradiance for each in self._lights.values()])
         return lit
 
-    def _message(self, asked: Asked, number: int, result: RunResult, *, sure: bool, known: bool = False) -> dict[str, Any]:
+    def _message(self, asked: PageRequest, number: int, result: RunResult, *, sure: bool, known: bool = False) -> dict[str, Any]:
         """Return what the page shows of a sensor: whether its errors are `sure`; no pictures if these are `known`."""
         score, job = result.score, result.prepared
         found: dict[str, Any] = {"number": asked.number, "sensor": number, "sure": sure, "values": self._values(result)}
@@ -256,7 +256,7 @@ class Session:
             shown[control.path] = settings.lens.file or NO_LENS if control.path == LENS else control.shown(value)
         return shown
 
-    def _curve(self, asked: Asked, number: int, lit: LitRun) -> Iterator[list[float]]:
+    def _curve(self, asked: PageRequest, number: int, lit: LitRun) -> Iterator[list[float]]:
         """Yield pixel size, mean ΔE and half of its 95 % interval for sizes around the pixel's, the nearest first, in one light."""
         middle = round(A_DECADE * np.log10(lit.prepared.settings.pixel.pitch_um))
         for step in sorted(range(-CURVE_STEPS, CURVE_STEPS + 1), key=abs):

@@ -251,33 +251,27 @@ AS_CURVES: dict[str, Callable[[Any], Any]] = {
 RESPONSES = tuple(AS_CURVES)
 
 
+def rows_schema(file: str, *others: dict[str, Any], most: int = 2) -> WithJsonSchema:
+    """Return the JSON schema of a field that takes a CSV file, its rows, or what `others` describe.
+
+    file : what it holds
+    most : numbers of a row, which has at least two
+    """
+    rows = {"type": "array", "items": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": most}}
+    return WithJsonSchema({"anyOf": [*others, {"type": "string", "description": f"{file}, next to the TOML file"}, rows]})
+
+
 QuantumEfficiency = Annotated[
     Fraction | tuple[tuple[float, float], ...],
     BeforeValidator(as_quantum_efficiency),
-    WithJsonSchema(
-        {
-            "anyOf": [
-                {"type": "number", "exclusiveMinimum": 0, "maximum": 1},
-                {"type": "string", "description": "CSV file of wavelength in nm and quantum efficiency, next to the TOML file"},
-                {"type": "array", "items": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}},
-            ]
-        }
-    ),
+    rows_schema("CSV file of wavelength in nm and quantum efficiency", {"type": "number", "exclusiveMinimum": 0, "maximum": 1}),
 ]
 
 
 Share = Annotated[
     Annotated[float, Field(ge=0, lt=1)] | tuple[tuple[float, float], ...],
     BeforeValidator(as_share),
-    WithJsonSchema(
-        {
-            "anyOf": [
-                {"type": "number", "minimum": 0, "exclusiveMaximum": 1},
-                {"type": "string", "description": "CSV file of wavelength in nm and share, next to the TOML file"},
-                {"type": "array", "items": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}},
-            ]
-        }
-    ),
+    rows_schema("CSV file of wavelength in nm and share", {"type": "number", "minimum": 0, "exclusiveMaximum": 1}),
 ]
 
 

@@ -13,7 +13,7 @@ from pixsim.base.problems import Words
 from pixsim.base.records import Record
 from pixsim.light.curves import Share
 from pixsim.light.quantities import Fraction
-from pixsim.optics.chief_rays import ChiefRays, RelativeIllumination
+from pixsim.optics.chief_rays import ChiefRayAngles, ChiefRays, RelativeIllumination
 from pixsim.optics.lens_options import OF_ANY_LENS, LensOptions, PrescriptionOptions, TracedLens
 from pixsim.optics.quantities import DieWidth, Distance, FieldOfView, FNumber, FocalLength, OutsideLight, UpToInfinity
 
@@ -97,13 +97,7 @@ class Camera(Record):
     def _chief_rays_reach_the_corner(self) -> Self:
         if self.chief_ray_angle is None:
             return self
-        corner_mm, farthest_mm = math.hypot(self.die_mm, self.height_mm) / 2, self.chief_ray_angle[-1][0]
-        if farthest_mm < corner_mm * (1 - CORNER_ROUNDING):
-            raise ValueError(
-                f"chief_ray_angle ends at an image height of {farthest_mm:g} mm; allowed: up to the corner of the die of "
-                f"{self.die_mm:g} × {self.height_mm:g} mm, {math.ceil(1e4 * corner_mm) / 1e4:g} mm. Add rows up to it, or give the "
-                "die_mm and die_height_mm of the sensor"
-            )
+        corner_mm = self._corner_within("chief_ray_angle", self.chief_ray_angle)
         height_mm, angle_deg = max(self._angles_within(corner_mm), key=lambda row: abs(row[1]))
         sine = math.sin(math.radians(abs(angle_deg))) + self.numerical_aperture
         if not sine < 1:
@@ -121,14 +115,19 @@ class Camera(Record):
         if self.lens is not None or (self.chief_ray_angle is not None and len(self.chief_ray_angle[0]) > 2):
             other = "lens.file" if self.lens else "camera.chief_ray_angle"
             raise ValueError(f"got lens.relative_illumination beside {other}, which has a fall-off; allowed: one of them")
-        corner_mm, farthest_mm = math.hypot(self.die_mm, self.height_mm) / 2, self.fall_off[-1][0]
+        self._corner_within("lens.relative_illumination", self.fall_off)
+        return self
+
+    def _corner_within(self, name: str, rows: ChiefRayAngles) -> float:
+        """Return the image height of the die's corner in mm. ValueError if rows against image height end before it."""
+        corner_mm, farthest_mm = math.hypot(self.die_mm, self.height_mm) / 2, rows[-1][0]
         if farthest_mm < corner_mm * (1 - CORNER_ROUNDING):
             raise ValueError(
-                f"lens.relative_illumination ends at an image height of {farthest_mm:g} mm; allowed: up to the corner of the die "
-                f"of {self.die_mm:g} × {self.height_mm:g} mm, {math.ceil(1e4 * corner_mm) / 1e4:g} mm. Add rows up to it, or "
-                "give the die_mm and die_height_mm of the sensor"
+                f"{name} ends at an image height of {farthest_mm:g} mm; allowed: up to the corner of the die of "
+                f"{self.die_mm:g} × {self.height_mm:g} mm, {math.ceil(1e4 * corner_mm) / 1e4:g} mm. Add rows up to it, or give the "
+                "die_mm and die_height_mm of the sensor"
             )
-        return self
+        return corner_mm
 
     def _angles_within(self, height_mm: float) -> list[tuple[float, float]]:
         """The rows of chief ray angles up to a height, and the angle there."""

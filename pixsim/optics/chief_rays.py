@@ -9,11 +9,11 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import BeforeValidator, WithJsonSchema
+from pydantic import BeforeValidator
 
 from pixsim.base.arguments import SMALLEST
 from pixsim.base.records import as_float
-from pixsim.light.curves import MAX_FILE_BYTES
+from pixsim.light.curves import MAX_FILE_BYTES, rows_schema
 from pixsim.light.tables import PERCENT, as_number, read_cells
 
 ChiefRayAngles = tuple[
@@ -154,28 +154,6 @@ def as_relative_illumination(value: Iterable[Iterable[object]] | str | Path | No
 
 MAX_RELATIVE_ILLUMINATION = 2.0  # a few per cent above 1 in lenses whose exit pupil grows with the field
 
-ChiefRays = Annotated[
-    ChiefRayAngles,
-    BeforeValidator(as_chief_ray_angles),
-    WithJsonSchema(
-        {
-            "anyOf": [
-                {"type": "string", "description": f"{ALLOWED_CHIEF_RAYS}, next to the TOML file"},
-                {"type": "array", "items": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 3}},
-            ]
-        }
-    ),
-]
+ChiefRays = Annotated[ChiefRayAngles, BeforeValidator(as_chief_ray_angles), rows_schema(ALLOWED_CHIEF_RAYS, most=3)]
 
-RelativeIllumination = Annotated[
-    ChiefRayAngles,
-    BeforeValidator(as_relative_illumination),
-    WithJsonSchema(
-        {
-            "anyOf": [
-                {"type": "string", "description": f"{ALLOWED_ILLUMINATION}, next to the TOML file"},
-                {"type": "array", "items": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}},
-            ]
-        }
-    ),
-]
+RelativeIllumination = Annotated[ChiefRayAngles, BeforeValidator(as_relative_illumination), rows_schema(ALLOWED_ILLUMINATION)]

@@ -16,7 +16,7 @@ from pixsim.base.arguments import brief
 from pixsim.base.errors import invalid, one_line
 from pixsim.base.records import Record, UnitInterval, as_float, as_list
 from pixsim.base.user_code import by_value, code_hash
-from pixsim.light.curves import MAX_FILE_BYTES
+from pixsim.light.curves import MAX_FILE_BYTES, rows_schema
 from pixsim.light.tables import as_number, read_cells
 from pixsim.sensor.colour_options import BAYER, binned_cell, channels_of
 from pixsim.sensor.pixel_options import PixelOptions
@@ -185,15 +185,7 @@ def has_tone_file(develop: dict[str, Any]) -> bool:
 ToneCurve = Annotated[
     Literal["none", "gamma", "srgb", "reinhard"] | ToneTable,
     BeforeValidator(as_tone_curve),
-    WithJsonSchema(
-        {
-            "anyOf": [
-                {"enum": [*TONE_CURVES], "type": "string"},
-                {"type": "string", "description": f"{ALLOWED_TONE}, next to the TOML file"},
-                {"type": "array", "items": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}},
-            ]
-        }
-    ),
+    rows_schema(ALLOWED_TONE, {"enum": [*TONE_CURVES], "type": "string"}),
 ]
 
 SAME_RADIUS = ("sharpen_radius_px", "sharpen_radius_cy_per_deg")

@@ -16,7 +16,7 @@ from PIL import Image
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.explorer.controls import Control, controls_of, presets_of
-from pixsim.explorer.session import MOST_LIGHTS, Asked, Session
+from pixsim.explorer.session import MOST_LIGHTS, PageRequest, Session
 from pixsim.show.pictures import display_codes
 from pixsim.studies.run import run
 from pixsim.viewer.setting import Run
@@ -26,7 +26,7 @@ TURNED = {"pixel.pitch_um": 40.0, "camera.f_number": 5.6, "exposure.gain_db": 6.
 TURNED |= {"motion.image_um_per_s": 500.0, "develop.denoise": "nlm", "develop.denoise_strength": 1.5}
 
 
-def answers(session: Session, asked: Asked) -> list[dict[str, Any]]:
+def answers(session: Session, asked: PageRequest) -> list[dict[str, Any]]:
     """What is sent for a request."""
     sent: list[dict[str, Any]] = []
     session.send = sent.append
@@ -46,7 +46,7 @@ def grey(path: Path) -> NDArray[Any]:
 @pytest.fixture(scope="module")
 def answered() -> tuple[Session, list[dict[str, Any]]]:
     session = Session("csf", (), SMALL)
-    return session, answers(session, Asked(1, ((0, TURNED),)))
+    return session, answers(session, PageRequest(1, ((0, TURNED),)))
 
 
 def test_first_picture_is_the_last_where_the_film_is_fine_enough(answered):
@@ -84,16 +84,16 @@ def test_light_and_ideal_that_are_kept_change_no_bit(answered):
     session, sent = answered
     fresh = next(message for message in sent if "pictures" in message)["pictures"]
     for values in ({"pixel.pitch_um": 50.0}, {**TURNED, "camera.f_number": 2.8}, {**TURNED, "exposure.gain_db": 0.0}):
-        answers(session, Asked(2, ((0, values), (0, {"pixel.read_noise_e": 30.0})), ("acutance",)))
+        answers(session, PageRequest(2, ((0, values), (0, {"pixel.read_noise_e": 30.0})), ("acutance",)))
         assert len(session._lights) <= MOST_LIGHTS
-    again = next(message for message in answers(session, Asked(3, ((0, TURNED),))) if "pictures" in message)["pictures"]
+    again = next(message for message in answers(session, PageRequest(3, ((0, TURNED),))) if "pictures" in message)["pictures"]
     assert again == fresh
 
 
 def test_two_sensors_share_scene_camera_and_display():
     session = Session("csf", (), SMALL)
     both = ({"camera.f_number": 8.0, "pixel.pitch_um": 50.0}, {"camera.f_number": 2.0})
-    last = [message for message in answers(session, Asked(1, tuple((0, each) for each in both))) if message.get("sure")]
+    last = [message for message in answers(session, PageRequest(1, tuple((0, each) for each in both))) if message.get("sure")]
     assert [message["values"]["camera.f_number"] for message in last] == [8.0, 8.0]
     assert [message["values"]["pixel.pitch_um"] for message in last] == [50.0, 42.4]
     assert [message["sensor"] for message in last] == [0, 1]
@@ -106,13 +106,13 @@ def test_only_the_last_settings_count():
     def send(message: dict[str, Any]) -> None:
         sent.append(message)
         if message["number"] == 1 and "point" in message:
-            session.ask(Asked(2, ((0, {"pixel.pitch_um": 60.0}),)))
-            session.ask(Asked(3, ((0, {"pixel.pitch_um": 50.0}),)))
+            session.ask(PageRequest(2, ((0, {"pixel.pitch_um": 60.0}),)))
+            session.ask(PageRequest(3, ((0, {"pixel.pitch_um": 50.0}),)))
         if message.get("done"):
             session.end()
 
     session.send = send
-    session.ask(Asked(1, ((0, {}),), (), True))
+    session.ask(PageRequest(1, ((0, {}),), (), True))
     thread = threading.Thread(target=session.serve)
     thread.start()
     thread.join(120)
@@ -126,7 +126,7 @@ def test_only_the_last_settings_count():
 
 def test_curve_has_the_intervals_of_runs_and_ends_where_pixels_are_impossible():
     session = Session("csf", (), {**SMALL, "pixel": {"pitch_um": 6.0}, "camera": {"die_mm": 0.5}})
-    points = [message["point"] for message in answers(session, Asked(1, ((0, {}),), (), True)) if "point" in message]
+    points = [message["point"] for message in answers(session, PageRequest(1, ((0, {}),), (), True)) if "point" in message]
     assert [point[0] for point in points][:2] == [5.62, 6.81], "the nearest first"
     assert min(point[0] for point in points) > 5.135, "below, the transistors fill the pixel"
     size, mean, half = points[0]
@@ -137,7 +137,7 @@ def test_curve_has_the_intervals_of_runs_and_ends_where_pixels_are_impossible():
 
 def test_what_has_not_converged_stands_in_the_picture():
     session = Session("csf", (), {**SMALL, "resolution": 32})
-    last = [message for message in answers(session, Asked(1, ((0, {}),))) if message.get("sure")]
+    last = [message for message in answers(session, PageRequest(1, ((0, {}),))) if message.get("sure")]
     assert [message["unsure"] for message in last] == ["not converged"]
     assert "not converged" in last[0]["lines"][0]
 
@@ -148,7 +148,7 @@ def test_light_in_memory_stays_as_it_is_and_repeats_from_its_file(tmp_path, monk
     header = dict(light.header)
     session = Session(light, (), {"pixel": {"pitch_um": 42.4}, "display": {"dots": 32}})
     assert not {"lens.file", "scene.luminance_cd_per_m2"} & {control.path for control in session.controls}
-    sent = answers(session, Asked(1, ((0, {"exposure.gain_db": 3.0}),)))
+    sent = answers(session, PageRequest(1, ((0, {"exposure.gain_db": 3.0}),)))
     assert light.header == header
     last = next(message for message in sent if message.get("sure"))
     pixsim.write_exr("light.exr", light)
@@ -197,13 +197,13 @@ def test_pair_of_numbers_is_turned_by_its_first():
 )
 def test_page_names_no_files_and_no_impossible_values(values, word):
     with pytest.raises(PixsimError, match=word):
-        Session("csf", (), SMALL).answer(Asked(1, ((0, values),)))
+        Session("csf", (), SMALL).answer(PageRequest(1, ((0, values),)))
 
 
 @pytest.mark.parametrize("message", [None, 3, {}, {"number": 1, "sensors": [], "metrics": [], "curve": False}])
 def test_message_that_is_no_request_is_refused(message):
     with pytest.raises(PixsimError, match="no request"):
-        Asked.of(message)
+        PageRequest.of(message)
 
 
 def test_presets_are_the_users_files_technologies_and_cameras(tmp_path):
@@ -220,6 +220,6 @@ def test_presets_are_the_users_files_technologies_and_cameras(tmp_path):
 def test_preset_is_evaluated(name):
     session = Session("csf", (), SMALL)
     place = [preset.name for preset in session.presets].index(name)
-    last = [message for message in answers(session, Asked(1, ((place, {"pixel.pitch_um": 42.4}),))) if message.get("sure")]
+    last = [message for message in answers(session, PageRequest(1, ((place, {"pixel.pitch_um": 42.4}),))) if message.get("sure")]
     assert len(last) == 1
     assert name.replace(" ", "_") in last[0]["command"]
