@@ -173,9 +173,11 @@ def sweep(
                 warn(f"pixel {name}: {text}")
             warn_of_stack_limits(imaging.physics, camera, light.wavelength_nm)
         own = exposure, correction, develop, display, camera
-        asked: dict[str, Any] = {"metrics": tuple(one.name for one in judging.metrics), "metric": judging.options, "light": light}
-        asked["motion"] = motion
-        given = [Configuration(imaging.physics, imaging.pixel, *own, **asked) for imaging in each.values()]
+        names = tuple(one.name for one in judging.metrics)
+        given = [
+            Configuration(imaging.physics, imaging.pixel, *own, metrics=names, metric=judging.options, light=light, motion=motion)
+            for imaging in each.values()
+        ]
         warn_of_unused_settings({"": given})
         border_um = max(borders_um)
         seen = [Seen(light, camera, imaging.physics, border_um) for imaging in each.values()]

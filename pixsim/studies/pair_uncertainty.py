@@ -94,8 +94,9 @@ def series_of_types(base: Series, types: Types) -> list[Series]:
     """Return the series of each type of a sensor, in the same light, on the first display of the sensor's own series."""
     imaging = base.imaging
     of_light = base.scenes.irradiance, imaging.camera, imaging.display, len(imaging.physics.channels)
-    more: dict[str, Any] = {"judging": imaging.judging, "without": base.scenes.without, "develop": imaging.develop}
-    scenes = SceneCache(*of_light, single=imaging.single, **more)
+    scenes = SceneCache(
+        *of_light, single=imaging.single, judging=imaging.judging, without=base.scenes.without, develop=imaging.develop
+    )
     return [
         replace(base, imaging=of_type, scenes=scenes, columns={**base.columns, "draw": str(draw)})
         for draw, of_type in enumerate(types.imagings(base.name, imaging))

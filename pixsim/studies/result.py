@@ -155,8 +155,7 @@ class Curve:
         first = next(each for each in self.metrics if each.name == metric)
         metrics = first, *(each for each in self.metrics if each is not first)
         fits = {self.metric.name: self.fit} | {name: fit for name, fit in self.fits.items() if name != metric}
-        of_first: dict[str, Any] = {"alike_um": None, "viewed": (), "causes": ()}
-        return replace(self, metrics=metrics, fit=self.fits[metric], fits=fits, **of_first)
+        return replace(self, metrics=metrics, fit=self.fits[metric], fits=fits, alike_um=None, viewed=(), causes=())
 
     @property
     def optimum(self) -> Optimum:

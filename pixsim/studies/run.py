@@ -519,8 +519,9 @@ def score_run(lit: LitRun, stage: Stage, prepare: Callable[..., PreparedScene] |
         judging = judging_of(settings)
         without = prepared.cases[0].without if lit.rendered is None else lit.rendered.without
         with watched(share_of(scored, 0.0, BEFORE_FRAME)):
-            of_light: dict[str, Any] = {"judging": judging, "without": without, "motion": settings.motion}
-            chain = make_imaging_chain(image, prepared.camera, *of_sensor, **of_light, prepare=prepare)
+            chain = make_imaging_chain(
+                image, prepared.camera, *of_sensor, judging=judging, without=without, motion=settings.motion, prepare=prepare
+            )
         scored(BEFORE_FRAME)
         lacking: dict[str, str] = {}
         score = judged_score(chain, judging, ("evaluate", settings.seed), lacking)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
@@ -85,8 +84,15 @@ class Imaging:
         without : irradiance of the scene without its target, if a metric asks for it
         """
         own = irradiance, self.camera, physics or self.physics, self.display
-        more: dict[str, Any] = {"judging": self.judging, "without": without, "develop": self.develop}
-        return prepare_scene(*own, border_um=self.border_um, single=self.single, lights=lights, **more)
+        return prepare_scene(
+            *own,
+            border_um=self.border_um,
+            single=self.single,
+            lights=lights,
+            judging=self.judging,
+            without=without,
+            develop=self.develop,
+        )
 
     def prepared(self, light: SharedLight, physics: PixelPhysics) -> PreparedScene:
         """Return light that a series shares, prepared for its pixels."""

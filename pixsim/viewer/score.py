@@ -982,8 +982,15 @@ class SceneCache:
             if len(self._scenes) >= self.capacity:
                 self._scenes.clear()
             own = self.irradiance, self.camera, physics, self.display
-            more: dict[str, Any] = {"judging": self.judging, "without": self.without, "develop": self.develop}
-            scene = prepare_scene(*own, border_um=border_um, single=self.single, others=self.others, **more)
+            scene = prepare_scene(
+                *own,
+                border_um=border_um,
+                single=self.single,
+                others=self.others,
+                judging=self.judging,
+                without=self.without,
+                develop=self.develop,
+            )
             self._scenes[key], self._facts[key] = scene, IdealFacts(scene.beyond_white, lightness_range(scene.screen.ideal))
         return self._scenes[key]
 
@@ -1280,9 +1287,9 @@ def evaluate(
     from pixsim.viewer.metric_registry import metrics_named
 
     judging = Judging(metrics_named(metrics), metric or METRIC_OPTIONS)
-    asked: dict[str, Any] = {"metrics": tuple(each.name for each in judging.metrics), "metric": judging.options, "motion": motion}
+    names = tuple(each.name for each in judging.metrics)
     own = pixel, exposure, correction, develop, display, camera, camera.lens_options
-    given = Configuration(derive(pixel), *own, light=irradiance, **asked)
+    given = Configuration(derive(pixel), *own, light=irradiance, metrics=names, metric=judging.options, motion=motion)
     warn_of_unused_settings({"": [given]})
     warn_of_unused_light(judging, without)
     settings = irradiance, camera, pixel, exposure, display, full, correction, develop
