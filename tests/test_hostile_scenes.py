@@ -35,7 +35,7 @@ from pixsim.scene.guard.own_tracer import OwnTracer
 from pixsim.scene.guard.plugins import MAX_ELEMENTS, PLUGINS
 from pixsim.scene.job import Job, OutOfTimeError
 from pixsim.scene.mitsuba import parse, speaking_mitsuba
-from pixsim.scene.scene import packaged_scenes
+from pixsim.scene.packaged import packaged_scenes
 from pixsim.scene.tree import nodes_of, tree_of
 
 VARIANT = "scalar_spectral"

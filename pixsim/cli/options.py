@@ -160,7 +160,7 @@ def packaged_or_files(names: Callable[[], Iterable[str]], *suffixes: str) -> Cal
 
 
 def scene_names() -> Iterable[str]:
-    from pixsim.scene.scene import packaged_scenes
+    from pixsim.scene.packaged import packaged_scenes
 
     return packaged_scenes()
 

@@ -7,7 +7,6 @@ import math
 import os
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
-from importlib import resources
 from itertools import chain
 from pathlib import Path
 
@@ -30,6 +29,7 @@ from pixsim.scene.film import FILM_ROUNDING
 from pixsim.scene.guard.inspector import REASONS, SceneText, open_scene
 from pixsim.scene.illuminance import ILLUMINANCE, strength
 from pixsim.scene.own_chart import LINEAR_SUFFIXES, SUFFIXES, OwnChart, is_own_chart
+from pixsim.scene.packaged import packaged_scenes
 from pixsim.scene.target import Target
 from pixsim.scene.tree import Node, Table, Tree, children, nodes_of, parse_tree, plain
 from pixsim.scene.variants import variant as variants
@@ -244,14 +244,6 @@ def chart_parameters(camera: Camera) -> dict[str, float]:
         "chart_ratio_x": width / shorter,
         "chart_ratio_y": height / shorter,
     }
-
-
-def packaged_scenes() -> dict[str, Path]:
-    """Return name -> path of the packaged scenes, in the wheel or in a checkout."""
-    root = Path(str(resources.files("pixsim")))
-    packaged = root / "data/scenes"
-    folder = packaged if packaged.is_dir() else root.parent / "scenes"
-    return {path.stem: path for path in sorted(folder.glob("*.xml"))}
 
 
 @lru_cache

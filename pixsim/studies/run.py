@@ -22,8 +22,9 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.optics.exchange import camera_of_light, read_with_camera
 from pixsim.scene.convergence import without_clock
+from pixsim.scene.packaged import packaged_scenes
 from pixsim.scene.plan import Plan
-from pixsim.scene.scene import Scene, packaged_scenes
+from pixsim.scene.scene import Scene
 from pixsim.sensor.integration import check_pixel_count, collecting_area_um2, pixels_on
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY

@@ -21,7 +21,7 @@ from pixsim.base.toml import SETTINGS_FILE
 from pixsim.light.spectral import DIGEST, SpectralImage
 from pixsim.light.stored import PictureFile
 from pixsim.optics.camera import Camera
-from pixsim.scene.scene import packaged_scenes
+from pixsim.scene.packaged import packaged_scenes
 from pixsim.sensor.labels import label_in
 from pixsim.show.sentences import few
 from pixsim.studies.allocation import next_sensors, next_where_open

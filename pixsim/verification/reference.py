@@ -13,9 +13,10 @@ from pixsim.base.progress import Progress
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.scene.charts import MAX_LP_PER_MM, SLANT_DEG, csf_contrast, csf_value
+from pixsim.scene.packaged import packaged_scenes
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.renderer import Renderer
-from pixsim.scene.scene import CHART, Scene, packaged_scenes
+from pixsim.scene.scene import CHART, Scene
 from pixsim.studies.budget import ProbeDesign
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(4)

@@ -16,7 +16,7 @@ from matplotlib.image import imread
 
 import pixsim
 from pixsim.light.exr import read_channels
-from pixsim.scene.scene import packaged_scenes
+from pixsim.scene.packaged import packaged_scenes
 
 RUN_FILES = {
     "irradiance.exr", "raw.exr", "ideal.png", "image.png", "delta_e.exr", "delta_e.png", "score.json",

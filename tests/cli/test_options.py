@@ -16,7 +16,7 @@ from pixsim.cli.commands import with_each_format
 from pixsim.cli.help import COMMON, MANY
 from pixsim.cli.options import app, choices_of, complete_study, value_name
 from pixsim.optics.camera import CameraOptions
-from pixsim.scene.scene import packaged_scenes
+from pixsim.scene.packaged import packaged_scenes
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.pixel_options import Pixel

@@ -9,9 +9,10 @@ import pytest
 import pixsim
 from pixsim.base.arrays import Array
 from pixsim.optics.thin_lens import field_factor
+from pixsim.scene.packaged import packaged_scenes
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.rules import Decision
-from pixsim.scene.scene import Scene, packaged_scenes
+from pixsim.scene.scene import Scene
 from pixsim.scene.variants import graphics, variant as variants
 
 VARIANT = "scalar_spectral"  # available everywhere, and faster for small images since it compiles nothing

@@ -25,7 +25,8 @@ from pixsim.optics.exchange import read_with_camera, write_npz
 from pixsim.report.pictures import picture_axes
 from pixsim.scene.charts import write_chart
 from pixsim.scene.guard.plugins import PLUGINS, Rule
-from pixsim.scene.scene import load_scene, packaged_scenes
+from pixsim.scene.packaged import packaged_scenes
+from pixsim.scene.scene import load_scene
 from pixsim.sensor.technology import load_technology
 from pixsim.studies.results_file import COLUMNS, ResultsFile
 from pixsim.studies.study_file import load_study

@@ -16,9 +16,9 @@ import pixsim
 from pixsim import optics
 from pixsim.base.schema import SCHEMA
 from pixsim.scene.charts import siemens_star, write_chart
+from pixsim.scene.packaged import packaged_scenes
 from pixsim.scene.plan import UNIFORM_RESOLUTION, decide_saturation, make_plan, make_render_plan
 from pixsim.scene.renderer import Renderer
-from pixsim.scene.scene import packaged_scenes
 from pixsim.sensor.integration import ideal_rate, integrate_pixels
 from pixsim.sensor.pixel import derive
 from pixsim.viewer.score import make_imaging_chain

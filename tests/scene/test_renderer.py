@@ -24,9 +24,9 @@ from pixsim.cli.options import SceneOptions
 from pixsim.light import spectral
 from pixsim.light.exr import write_channels
 from pixsim.scene import charts
+from pixsim.scene.packaged import packaged_scenes
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import Renderer
-from pixsim.scene.scene import packaged_scenes
 from pixsim.sensor import readout as sensor
 from pixsim.sensor.integration import pixel_count
 from pixsim.sensor.pixel import derive

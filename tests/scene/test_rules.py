@@ -19,9 +19,9 @@ from pixsim.light.exr import write_channels
 from pixsim.scene import rules
 from pixsim.scene.contents import blur_um
 from pixsim.scene.film import PATH_SAMPLES
+from pixsim.scene.packaged import packaged_scenes
 from pixsim.scene.plan import Plan, make_plan, make_render_plan
 from pixsim.scene.renderer import Renderer
-from pixsim.scene.scene import packaged_scenes
 
 RULES = {"spectral rank", "bounces", "lens samples", "texture samples", "diffraction"}
 HALF, AWAY = 'x="$chart_half_width" y="$chart_half_height"', '<translate z="$focus_distance"/>'

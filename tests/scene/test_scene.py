@@ -20,7 +20,7 @@ from pixsim.optics.lens_options import LensOptions
 from pixsim.scene import charts, illuminance
 from pixsim.scene.contents import Lamp, find_lamp, find_lamps, white_of
 from pixsim.scene.mitsuba import import_mitsuba
-from pixsim.scene.scene import packaged_scenes
+from pixsim.scene.packaged import packaged_scenes
 
 CHARTS = ["csf", "flat", "siemens_star", "slanted_edge"]
 SHIPPED = sorted([*CHARTS, "line_lamp", "macbeth", "still_life", "target"])

@@ -12,7 +12,9 @@ import pytest
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.light.exr import write_rows
+from pixsim.scene.guard.assets import spectrum_value
 from pixsim.scene.guard.inspector import open_scene
+from pixsim.scene.packaged import packaged_folder
 
 CASES = Path(__file__).parents[1] / "data/cases"
 SCENE = '<scene version="3.0.0"><shape type="sphere"><bsdf type="{}">{}</bsdf></shape></scene>'
@@ -40,6 +42,15 @@ def test_units_of_a_file_of_light_are_obeyed(tmp_path: Path) -> None:
     (tmp_path / "scene.xml").write_text(f'<scene version="3.0.0">{lamp}</scene>', encoding="utf-8")
     (tmp_path / "a.spd").write_text("wavelength (µm)\tradiance (mW/m^2/sr/nm)\n0,4\t25\n0,7\t5\n", encoding="latin-1")
     assert 'value="400:0.025, 700:0.005"' in open_scene(tmp_path / "scene.xml", {}).text
+
+
+def test_packaged_spectra_have_their_names_in_every_scene_and_its_own_files_come_first(tmp_path: Path) -> None:
+    lamp = '<emitter type="constant"><spectrum name="radiance" filename="spectra/led_850nm.spd"/></emitter>'
+    (tmp_path / "scene.xml").write_text(f'<scene version="3.0.0">{lamp}</scene>', encoding="utf-8")
+    assert spectrum_value(packaged_folder() / "spectra/led_850nm.spd") in open_scene(tmp_path / "scene.xml", {}).text
+    (tmp_path / "spectra").mkdir()
+    (tmp_path / "spectra/led_850nm.spd").write_text("400 1\n500 1\n", encoding="utf-8")
+    assert 'value="400:1, 500:1"' in open_scene(tmp_path / "scene.xml", {}).text
 
 
 INSIDE = {

@@ -14,8 +14,9 @@ from pixsim.base import cache
 from pixsim.scene import mitsuba, tree as trees
 from pixsim.scene.convergence import render_until
 from pixsim.scene.mitsuba import parse
+from pixsim.scene.packaged import packaged_scenes
 from pixsim.scene.plan import make_render_plan
-from pixsim.scene.scene import load_scene, packaged_scenes
+from pixsim.scene.scene import load_scene
 from pixsim.scene.tree import Table, children, parse_tree, tree_of
 from pixsim.sensor.exposure import Exposure
 

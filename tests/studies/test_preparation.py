@@ -20,9 +20,9 @@ from helpers.tiny import rows, tiny
 import pixsim
 from pixsim.optics.diffraction import diffraction_otf
 from pixsim.report.outline import run_outline, study_outline
+from pixsim.scene.packaged import packaged_scenes
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import Renderer
-from pixsim.scene.scene import packaged_scenes
 from pixsim.sensor.pixel_options import PixelOptions
 from pixsim.studies.cost import Cost, cases_cost, study_cost, window_within
 from pixsim.studies.lights import render_for

@@ -20,7 +20,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.optics import irradiance_factor
 from pixsim.optics.camera import Camera
 from pixsim.optics.exchange import write_npz
-from pixsim.scene.scene import packaged_scenes
+from pixsim.scene.packaged import packaged_scenes
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.studies.comparison import Comparison

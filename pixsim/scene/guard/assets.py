@@ -41,7 +41,7 @@ def found(name: str, folders: Iterable[Path], what: str, place: str, scene_folde
     file = next((path for path in places if os.path.lexists(path)), None)
     if file is None:
         got = f"'{name}', which does not exist" if any(path.parent.is_dir() for path in places) else missing(Path(name))
-        allowed = f"a file, relative to '{os.path.abspath(scene_folder)}' or to the working directory"
+        allowed = f"a file, relative to '{os.path.abspath(scene_folder)}' or to the working directory, or of the packaged scenes"
         raise invalid(what, f"{got}, in {place}", allowed)
     absolute = Path(os.path.abspath(file))
     if not is_utf8(absolute):

@@ -20,6 +20,7 @@ from pixsim.scene.guard.assets import NUMBER, found, inspect_asset, metals, spec
 from pixsim.scene.guard.files import Node, SceneFiles, check_references, read_scene, written
 from pixsim.scene.guard.plugins import LARGEST, MAX_ELEMENTS, PLUGINS, SMALLEST, Plugin, Rule
 from pixsim.scene.guard.strength import with_strength
+from pixsim.scene.packaged import packaged_folder
 from pixsim.scene.textures import check_share
 
 # Element -> attributes that it must have, and others.
@@ -239,7 +240,7 @@ class _Inspector:
                 if bool(value) == ("filename" in attributes):
                     raise invalid(what, f"<spectrum> in {node.place}", 'either value="…" or filename="…"')
                 if not value:
-                    folders = (*self.files.folders, node.file.parent, self.files.folder, Path())
+                    folders = (*self.files.folders, node.file.parent, self.files.folder, Path(), packaged_folder())
                     value = spectrum_value(found(attributes["filename"], folders, "spectrum", node.place, self.files.folder))
                     self.left_of_tables -= len(value)
                     if self.left_of_tables < 0:
@@ -264,7 +265,7 @@ class _Inspector:
                 )
         elif rule.file:
             what_file = "texture" if rule.file == "picture" else rule.file
-            folders = (*self.files.folders, self.files.folder, Path(), node.file.parent)
+            folders = (*self.files.folders, self.files.folder, Path(), node.file.parent, packaged_folder())
             path = found(value, folders, what_file, node.place, self.files.folder)
             if path != self.unread:
                 indices = [
