@@ -389,7 +389,8 @@ class ImagingChain:
         assert self.made_from is not None
         light, physics = self.made_from
         moved = replace(physics, pixel=physics.pixel.model_copy(update={"registration": None})).registered(number)
-        return chain_at_pitch(light, moved, self.exposure, self.correction, self.develop, self.um_per_s)
+        # What is read at other places is not shown, so the room that this chain's dots have is all that motion needs.
+        return chain_at_pitch(light, moved, self.exposure, self.correction, self.develop, self.um_per_s, room_is_checked=True)
 
     @property
     def white_e_per_s(self) -> float:
@@ -1033,10 +1034,13 @@ def chain_at_pitch(
     correction: Correction = NO_CORRECTION,
     develop: Develop = DEVELOP,
     um_per_s: tuple[float, float] = NO_VELOCITY,
+    *,
+    room_is_checked: bool = False,
 ) -> ImagingChain:
     """Return the imaging chain of a pixel of any pitch and registration, from light prepared for its spectral response.
 
     um_per_s : velocity [x, y] of the image on the sensor; automatic exposure is metered on the picture that stands still
+    room_is_checked : nothing of this chain is shown, or another one with the same dots had room for the motion
 
     Raises PixsimError if the picture moves farther than what is scored leaves room for.
     """
@@ -1046,10 +1050,12 @@ def chain_at_pitch(
         time_s = integration_time_s(exposure, physics.as_read, float(calm.max()))
         exposure = lasting(exposure, time_s)
     still = _chain(light, physics, exposure, correction, develop, signal, collections)
-    return still if um_per_s == NO_VELOCITY else _moved(still, light, physics, um_per_s)
+    return still if um_per_s == NO_VELOCITY else _moved(still, light, physics, um_per_s, room_is_checked)
 
 
-def _moved(still: ImagingChain, light: PreparedScene, physics: PixelPhysics, um_per_s: tuple[float, float]) -> ImagingChain:
+def _moved(
+    still: ImagingChain, light: PreparedScene, physics: PixelPhysics, um_per_s: tuple[float, float], room_is_checked: bool
+) -> ImagingChain:
     """Return the chain of light that moves, from that of the same light that stands still.
 
     physics : of the pixels, before they are read
@@ -1057,7 +1063,8 @@ def _moved(still: ImagingChain, light: PreparedScene, physics: PixelPhysics, um_
     exposure = still.exposure
     time_s = integration_time_s(exposure, still.physics, float(still.signal_e_per_s.max()))
     moving = moving_in(um_per_s, time_s, exposure)
-    check_room(still, moving, light.array_um)
+    if not room_is_checked:
+        check_room(still, moving, light.array_um)
 
     pixels = light.sample_pitch_um, physics, light.array_um, moving
     signal, each = moved_signals(light.lights, *pixels, exposure.frames)
