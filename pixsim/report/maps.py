@@ -54,7 +54,7 @@ WIDTH_IN = 6.4
 PT_PER_IN = 72.0
 SMALL_PT, CELL_PT = 8.0, 7.5  # fonts
 # Characters of a line's label in a figure, of the name of an axis, of a label at a tick, and of one beside a map.
-SHORT, SHORT_AXIS, SHORT_TICK, SHORT_SIDE = 36, 24, 18, 10
+SHORT, SHORT_AXIS, SHORT_TICK, SHORT_SIDE = 36, 32, 18, 10
 LEAST_SPAN = 0.02  # of a value, for the colours of a map and the axis of a bar
 MARGIN = 0.08  # of an axis, around what is drawn
 CELLS_PT = (175.0, 105.0)  # room for the cells of a map without colour bar, across and down
