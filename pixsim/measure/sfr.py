@@ -195,7 +195,7 @@ class EdgeResponse:
         return f"<EdgeResponse {sfr_parts(self.as_dict())[0]}>"
 
 
-class Grid(NamedTuple):
+class ChannelGrid(NamedTuple):
     """Pixels of one channel at one place of the unit cell, which are a grid of their own in the region.
 
     data : (M, K)
@@ -206,15 +206,15 @@ class Grid(NamedTuple):
     row: Array
     x: Array
 
-    def turned(self) -> Grid:
-        return Grid(self.data.T, self.x, self.row)
+    def turned(self) -> ChannelGrid:
+        return ChannelGrid(self.data.T, self.x, self.row)
 
 
 class Part(NamedTuple):
     """Grids of one channel, and the weight of the channel in what is measured."""
 
     weight: float
-    grids: list[Grid]
+    grids: list[ChannelGrid]
 
 
 @checks_arguments
@@ -350,7 +350,7 @@ def parts_of(
         raise invalid("edge picture", got, f"at least {MIN_SIDE_PX * max(period)} a side, for one channel of a mosaic")
     x0, y0 = (region[0], region[1]) if region is not None else (0, 0)
 
-    def grids(places: list[tuple[int, int]]) -> list[Grid]:
+    def grids(places: list[tuple[int, int]]) -> list[ChannelGrid]:
         return [grid_of(data, ((row - y0) % period[0], (column - x0) % period[1]), period) for row, column in places]
 
     if channel is not None and (place := re.fullmatch(r"(\d+),(\d+)", channel)):
@@ -367,10 +367,10 @@ def parts_of(
     ], period, channel  # fmt: skip
 
 
-def grid_of(data: Array, place: tuple[int, int] = (0, 0), period: tuple[int, int] = (1, 1)) -> Grid:
+def grid_of(data: Array, place: tuple[int, int] = (0, 0), period: tuple[int, int] = (1, 1)) -> ChannelGrid:
     """The pixels at one place (row, column) of the unit cells of a picture."""
     row, x = (np.arange(start, side, step, dtype=float) for start, side, step in zip(place, data.shape, period, strict=True))
-    return Grid(data[place[0] :: period[0], place[1] :: period[1]], row, x)
+    return ChannelGrid(data[place[0] :: period[0], place[1] :: period[1]], row, x)
 
 
 def named_channels(layout: Layout, channel: str | None) -> list[tuple[str, float]]:
@@ -423,7 +423,7 @@ def green_places(data: Array, channel: str, start: tuple[int, int]) -> list[tupl
     return list(alike)
 
 
-def nyquist_of(grids: Sequence[Grid], period: tuple[int, int]) -> float:
+def nyquist_of(grids: Sequence[ChannelGrid], period: tuple[int, int]) -> float:
     """Nyquist frequency of the grids' pixels across the edge (cy/px), along the rows: half way to the nearest of their replicas.
 
     Of a replica at the frequency (u, v) the half-way plane cuts the rows' axis at (u² + v²)/(2 u): for green of Bayer's mosaic at
@@ -473,13 +473,13 @@ def is_turned(parts: Sequence[Part]) -> bool:
     return bool(steps[1] < steps[0])
 
 
-def step_of(grids: Sequence[Grid], axis: int) -> float:
+def step_of(grids: Sequence[ChannelGrid], axis: int) -> float:
     """Mean of the last quarter less that of the first, along an axis."""
     low, high = sides_of(grids, axis)
     return high - low
 
 
-def sides_of(grids: Sequence[Grid], axis: int = 1) -> tuple[float, float]:
+def sides_of(grids: Sequence[ChannelGrid], axis: int = 1) -> tuple[float, float]:
     """Means of the first and of the last quarter of the columns (axis 1), or of the rows."""
     sides = np.array([outer_quarters(grid.data.T if axis else grid.data) for grid in grids]).mean(axis=0)
     return float(sides[0]), float(sides[1])
@@ -536,7 +536,7 @@ def sampled(side: Array) -> Array:
     return pairs[:: max(1, -(-side.size // SAMPLED))].reshape(-1, side.shape[1])
 
 
-def check_clipping(grids: Sequence[Grid], is_unclipped: bool) -> None:
+def check_clipping(grids: Sequence[ChannelGrid], is_unclipped: bool) -> None:
     """Raise PixsimError if the bright side is clipped, which its noise shows; warn of a dark side that is.
 
     Light adds noise. So on the bright side no code can hold more pixels than the noise of the dark side would leave in it.
@@ -601,7 +601,7 @@ def check_mosaic(data: Array) -> None:
                 raise invalid("edge picture", got, "one channel", hint)
 
 
-def fit_edge(grids: Sequence[Grid], sign: float, spacing: int) -> tuple[float, float]:
+def fit_edge(grids: Sequence[ChannelGrid], sign: float, spacing: int) -> tuple[float, float]:
     """Intercept and slope (pixels per row) of the edge x = intercept + slope · row, with pixel centres at integers.
 
     The edge of a row is the centroid of its derivative under a Hann window around the current line. The first line goes
@@ -649,7 +649,7 @@ def no_edge(got: str) -> PixsimError:
 
 
 def rows_and_window(
-    grids: Sequence[Grid], intercept: float, slope: float, half_window_px: float, spacing: int
+    grids: Sequence[ChannelGrid], intercept: float, slope: float, half_window_px: float, spacing: int
 ) -> tuple[Array, float]:
     """Rows that contain the whole window, and half of the window along the normal in pixels.
 
@@ -690,10 +690,10 @@ def bins_of(spacing: int) -> list[int]:
     return [bins for bins in (BINS_A_PIXEL, 2, 1) if bins * spacing >= BINS_A_PIXEL]
 
 
-def within(grid: Grid, rows: Array) -> Grid:
+def within(grid: ChannelGrid, rows: Array) -> ChannelGrid:
     """The rows of a grid in a range of rows."""
     inside = (grid.row >= rows[0]) & (grid.row <= rows[-1])
-    return Grid(grid.data[inside], grid.row[inside], grid.x)
+    return ChannelGrid(grid.data[inside], grid.row[inside], grid.x)
 
 
 class Binned(NamedTuple):
@@ -705,7 +705,7 @@ class Binned(NamedTuple):
     variance: Array
 
 
-def edge_spread(grids: Sequence[Grid], intercept: float, slope: float, half_px: float, bins_a_pixel: int) -> Binned:
+def edge_spread(grids: Sequence[ChannelGrid], intercept: float, slope: float, half_px: float, bins_a_pixel: int) -> Binned:
     """Pixels in bins of their distance from the edge, which rises from left to right.
 
     The variance is that of the pixels about the mean course through the bins, pooled over neighbouring bins.
@@ -843,7 +843,7 @@ def warn_of_shading(distance_px: Array, spread: Array, variance: Array) -> None:
         )
 
 
-def warn_of_correlation(grids: Sequence[Grid], intercept: float, slope: float, distance_px: Array, spread: Array) -> None:
+def warn_of_correlation(grids: Sequence[ChannelGrid], intercept: float, slope: float, distance_px: Array, spread: Array) -> None:
     """Warn if the noise of neighbours in a row is correlated, of which the intervals know nothing."""
     half_px = -float(distance_px[0])
     step = float(np.ptp(spread))
