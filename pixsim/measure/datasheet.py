@@ -25,7 +25,17 @@ from pixsim.base.progress import Stage, no_stage
 from pixsim.base.toml import read_toml
 from pixsim.measure import colour as colours, estimators
 from pixsim.measure.colour import Colour, measure_colour
-from pixsim.measure.estimators import QUANTISATION_DN2, Estimate, Linearity, Pair, PhotonTransfer, RowNoise, Series, Stack, root
+from pixsim.measure.estimators import (
+    QUANTISATION_DN2,
+    Estimate,
+    FrameStack,
+    Linearity,
+    Pair,
+    PhotonTransfer,
+    RowNoise,
+    Series,
+    root,
+)
 from pixsim.measure.experiment import Experiment, make_experiment
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.noise import constant_e, signal_at_snr_e, variance_e2
@@ -112,8 +122,8 @@ class DataSheet:
     dark: Pair
     dark_series: Series = field(repr=False)
     warm: dict[float, Series] = field(repr=False)
-    dark_stack: Stack = field(repr=False)
-    bright_stack: Stack = field(repr=False)
+    dark_stack: FrameStack = field(repr=False)
+    bright_stack: FrameStack = field(repr=False)
     grey: Array = field(repr=False)
     grey_photons: float
     bright_photons: float
@@ -599,7 +609,7 @@ def spatial(sheet: DataSheet) -> list[Entry]:
     nominal = math.sqrt(variance_e2(p, dark_e=dark_e, is_temporal=False))
     dsnu = f"from this device's maps; the parameters give √(offset² + column² + (σ_DSNU · dark)²) = {nominal:.4g}"
     of_gain = f"from this device's maps; the parameters give {100 * p.prnu:.4g}"
-    whole = estimators.parts(Stack(1, map_e, np.zeros_like(map_e)))
+    whole = estimators.parts(FrameStack(1, map_e, np.zeros_like(map_e)))
     # A mean of frames keeps a part of their row noise, which EMVA 1288 takes for a fixed pattern.
     left_e2 = constant_e(p, is_temporal=True, along="row") ** 2 / sheet.dark_stack.frames
     true_e2 = [

@@ -21,7 +21,7 @@ from pixsim.measure import datasheet, estimators
 from pixsim.measure.colour import colour_truth, measure_colour, noise_gain, smi
 from pixsim.measure.datasheet import DataSheet, Entry, expected_moments, make_datasheet, mean_offset_e, variance_peak_e
 from pixsim.measure.datasheet_report import FILES as PLANNED, datasheet_document, described, sheet_name, spectrogram
-from pixsim.measure.estimators import Estimate, Series, Stack, daylight_e_per_lx_s
+from pixsim.measure.estimators import Estimate, FrameStack, Series, daylight_e_per_lx_s
 from pixsim.measure.experiment import DARK_TIMES, EXPOSURES, make_experiment, peak_wavelength_nm, pixel_efficiency
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.noise import signal_at_snr_e
@@ -67,7 +67,7 @@ def test_parts_of_known_maps_recovers_variances() -> None:
     rng = stream("test parts")
     rows, columns = 400, 300
     maps = 3 * rng.standard_normal(columns), 2 * rng.standard_normal((rows, 1)), 5 * rng.standard_normal((rows, columns))
-    variances = [estimate.value for estimate in estimators.parts(Stack(16, sum(maps), np.zeros((rows, columns))))]  # type: ignore[arg-type]
+    variances = [estimate.value for estimate in estimators.parts(FrameStack(16, sum(maps), np.zeros((rows, columns))))]  # type: ignore[arg-type]
     assert variances[:2] == pytest.approx([maps[0].var(), maps[1].var()], rel=0.03)
     assert variances[2] == pytest.approx(25, rel=0.02)
     assert sum(variances) == pytest.approx(sum(maps).var(ddof=1), rel=1e-2)
