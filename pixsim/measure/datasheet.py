@@ -31,9 +31,9 @@ from pixsim.measure.estimators import (
     FrameStack,
     Linearity,
     Pair,
+    PairSeries,
     PhotonTransfer,
     RowNoise,
-    Series,
     root,
 )
 from pixsim.measure.experiment import Experiment, make_experiment
@@ -117,11 +117,11 @@ class DataSheet:
     """
 
     experiment: Experiment = field(repr=False)
-    light: Series = field(repr=False)
-    dim: Series = field(repr=False)
+    light: PairSeries = field(repr=False)
+    dim: PairSeries = field(repr=False)
     dark: Pair
-    dark_series: Series = field(repr=False)
-    warm: dict[float, Series] = field(repr=False)
+    dark_series: PairSeries = field(repr=False)
+    warm: dict[float, PairSeries] = field(repr=False)
     dark_stack: FrameStack = field(repr=False)
     bright_stack: FrameStack = field(repr=False)
     grey: Array = field(repr=False)
@@ -152,10 +152,10 @@ class DataSheet:
         return self.light.mean_dn - self.dark.mean_dn
 
     @property
-    def rising(self) -> Series:
+    def rising(self) -> PairSeries:
         """`dim`, followed by `light` up to saturation."""
         end = self.transfer.saturation_index + 1
-        return Series(*(np.concatenate([dim, light[:end]]) for dim, light in zip(self.dim, self.light, strict=True)))
+        return PairSeries(*(np.concatenate([dim, light[:end]]) for dim, light in zip(self.dim, self.light, strict=True)))
 
     @cached_property
     def linearity(self) -> Linearity:
@@ -404,7 +404,7 @@ def measure(experiment: Experiment, stage: Stage | None = None, wavelength_nm: f
         allowed = f"codes of at most {1 / LEAST_NOISE_DN:g} standard deviations of the temporal noise at saturation"
         raise invalid("pixel.bits", got, allowed, "Use more bits, or a smaller full well.")
 
-    def pairs(name: str, photons: Array, of: Experiment = experiment) -> Series:
+    def pairs(name: str, photons: Array, of: Experiment = experiment) -> PairSeries:
         report_fraction, measured = report_progress(name), []
         for index, level in enumerate(photons.tolist()):
             measured.append(estimators.pair(*of.frames(2, level, name, index)))

@@ -77,7 +77,7 @@ def stack(frames: Iterable[Frames]) -> FrameStack:
     return FrameStack(count, np.asarray(total / count), np.asarray(sum_of_squares / (count - 1)))
 
 
-class Series(NamedTuple):
+class PairSeries(NamedTuple):
     """(n,) means and variances of pairs of frames against `at`, photons or seconds."""
 
     at: Array
@@ -86,8 +86,8 @@ class Series(NamedTuple):
     frame_variance_dn2: Array
 
 
-def series(at: Array, pairs: list[Pair]) -> Series:
-    return Series(np.asarray(at, float), *map(np.array, zip(*pairs, strict=True)))
+def series(at: Array, pairs: list[Pair]) -> PairSeries:
+    return PairSeries(np.asarray(at, float), *map(np.array, zip(*pairs, strict=True)))
 
 
 SENSITIVITY_SHARE = 0.7  # of saturation: range of the fits of K and R
@@ -228,7 +228,7 @@ def saturation_index(variance_dn2: Array) -> int:
 
 
 def photon_transfer(
-    light: Series,
+    light: PairSeries,
     dark_mean_dn: float,
     dark_variance_dn2: float,
     pixels: int,
@@ -351,7 +351,7 @@ def parts(images: FrameStack, of_rows: RowNoise = NO_ROW_NOISE) -> tuple[Estimat
     )
 
 
-def dark_current(dark: Series, gain: Estimate, pixels: int, of_rows: RowNoise = NO_ROW_NOISE) -> tuple[Estimate, Estimate]:
+def dark_current(dark: PairSeries, gain: Estimate, pixels: int, of_rows: RowNoise = NO_ROW_NOISE) -> tuple[Estimate, Estimate]:
     """Dark current (e-/s per pixel) from the mean and from the variance: slopes over time, divided by K and K² (section 7.1).
 
     of_rows : for the standard errors

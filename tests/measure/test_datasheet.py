@@ -21,7 +21,7 @@ from pixsim.measure import datasheet, estimators
 from pixsim.measure.colour import colour_truth, measure_colour, noise_gain, smi
 from pixsim.measure.datasheet import DataSheet, Entry, expected_moments, make_datasheet, mean_offset_e, variance_peak_e
 from pixsim.measure.datasheet_report import FILES as PLANNED, datasheet_document, described, sheet_name, spectrogram
-from pixsim.measure.estimators import Estimate, FrameStack, Series, daylight_e_per_lx_s
+from pixsim.measure.estimators import Estimate, FrameStack, PairSeries, daylight_e_per_lx_s
 from pixsim.measure.experiment import DARK_TIMES, EXPOSURES, make_experiment, peak_wavelength_nm, pixel_efficiency
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.noise import signal_at_snr_e
@@ -73,11 +73,11 @@ def test_parts_of_known_maps_recovers_variances() -> None:
     assert sum(variances) == pytest.approx(sum(maps).var(ddof=1), rel=1e-2)
 
 
-def ideal_light(gain: float = 0.4, eta: float = 0.5, dark_e2: float = 100.0, full_e: float = 9000.0) -> Series:
+def ideal_light(gain: float = 0.4, eta: float = 0.5, dark_e2: float = 100.0, full_e: float = 9000.0) -> PairSeries:
     photons = np.arange(1, 51) * 400.0
     electrons = np.minimum(eta * photons, full_e)
     variance = np.where(eta * photons < full_e, gain**2 * (dark_e2 + electrons) + 1 / 12, 0.01)
-    return Series(photons, 50 + gain * electrons, variance, variance)
+    return PairSeries(photons, 50 + gain * electrons, variance, variance)
 
 
 def test_photon_transfer_ideal_frames_gives_parameters() -> None:
