@@ -74,7 +74,7 @@ class Scene:
     parameters: dict[str, str]
     names: frozenset[str]
     sensor_id: str | None
-    choice: variants.Choice
+    choice: variants.ChosenVariant
     white_cd_per_m2: Luminance | None = None
     white_lamps: tuple[str, ...] = ()
     own_chart: OwnChart | None = None
