@@ -183,7 +183,7 @@ FIGURE_NUMBERS = {"delta_e_against_pitch": 7, "delta_e_against_pitch_all": 8, "o
 HEADINGS = {"curves": ("curves", "more"), "maps": ("pictures",), "paper": ("paper's scene", "paper's maps")}
 
 
-class Group(NamedTuple):
+class FigureGroup(NamedTuple):
     """Figures drawn together: curves, pictures (of one technology), more, or those of the paper (its scene, its maps)."""
 
     number: int
@@ -195,8 +195,8 @@ class Group(NamedTuple):
 
 
 def draw_section(
-    section: Group, result: StudyResult, figures: Figures = "svg"
-) -> tuple[Group, list[Drawn], Views | None, list[Finding]]:
+    section: FigureGroup, result: StudyResult, figures: Figures = "svg"
+) -> tuple[FigureGroup, list[Drawn], Views | None, list[Finding]]:
     """Return a group, its figures, its pictures, and its statements of the paper."""
     by_name = {curve.technology: curve for curve in result.curves}
     first = by_name.get(REFERENCE_TECHNOLOGY, result.curves[0])
@@ -346,7 +346,7 @@ def study_page(
     pictures = [("pictures", curve.technology) for curve in result.curves if curve.has_delta_e]
     kinds = [("curves", ""), *pictures, ("more", "")]
     kinds += [("paper's scene", ""), ("paper's maps", "")] if study.paper else []
-    longest_first = reversed([Group(number, kind, technology) for number, (kind, technology) in enumerate(kinds)])
+    longest_first = reversed([FigureGroup(number, kind, technology) for number, (kind, technology) in enumerate(kinds)])
 
     def shared() -> StudyResult:  # one function for all calls, so that workers share the result
         return result
