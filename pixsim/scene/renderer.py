@@ -31,7 +31,7 @@ from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.scene.bands import Fit, Pulse
 from pixsim.scene.contents import named_files
 from pixsim.scene.guard.tracer import Tracer, tracer_of
-from pixsim.scene.job import Job, Lamps, Passes, irregular, regular
+from pixsim.scene.job import Lamps, Passes, TraceJob, irregular, regular
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.rules import SAMPLE_COUNTS, irregular_tables
 from pixsim.scene.scene import Scene, check_resolution, hash_of_tree, is_packaged, sensor_node
@@ -222,7 +222,9 @@ class Renderer:
         tables += tuple((index, name, irregular(table.nodes_nm, table.values)) for index, name, table in plan.held)
         passes = tuple(passes_of(light.fit, plan.bands.span) for light in plan.lights)
         files = tuple(digest_of(path) for path in named_files(state))
-        self.job = Job(scene.choice.variant, text.text, lamps, sensor, lens, plan.integrator, tables, self.field, passes, files)
+        self.job = TraceJob(
+            scene.choice.variant, text.text, lamps, sensor, lens, plan.integrator, tables, self.field, passes, files
+        )
         self.packaged, self.ends_at_s = is_packaged(text), ends_at_s
         self.cache = CachedRenders(hash_of_job(scene, state, camera, plan, seed)) if keep else None
         self.begun = False  # whether there is a run of the variant
@@ -231,7 +233,7 @@ class Renderer:
     def tracer(self) -> Tracer:
         return self.traced(self.job)
 
-    def traced(self, job: Job) -> Tracer:
+    def traced(self, job: TraceJob) -> Tracer:
         """Return what traces a job: this process if the scene is packaged and has all the time.
 
         Else it is a child, which can be killed, and which a failing card may end too.

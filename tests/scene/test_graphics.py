@@ -29,7 +29,7 @@ from pixsim.scene.convergence import render_until
 from pixsim.scene.guard import tracer
 from pixsim.scene.guard.child import ChildTracer
 from pixsim.scene.guard.own_tracer import OwnTracer
-from pixsim.scene.job import Job
+from pixsim.scene.job import TraceJob
 from pixsim.scene.mitsuba import speaking_mitsuba
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import Renderer
@@ -221,7 +221,7 @@ def test_processes_that_render_without_card_do_not_start_driver(which: str, code
 
 def test_card_that_fails_to_start_fails_its_trial(driver: pytest.MonkeyPatch, tmp_path: Path):
     """All of Dr.Jit, with a driver that shows a card which then fails: the process that would trace dies, and no other."""
-    job = Job("cuda_ad_spectral", '<scene version="3.0.0"/>', (None,), 0, {}, None, ())
+    job = TraceJob("cuda_ad_spectral", '<scene version="3.0.0"/>', (None,), 0, {}, None, ())
     with pytest.raises(PixsimError, match=r"the graphics card or its driver ended Mitsuba's process \(SIGABRT\)"):
         ChildTracer(job).sample_count("independent", 4)
 
@@ -374,7 +374,7 @@ CHOSEN = variant.ChosenVariant("cuda_ad_spectral", None, "of a test", variant.Ch
 class Card:
     """Traces in place of a card, until it fails."""
 
-    def __init__(self, job: Job, works: int) -> None:
+    def __init__(self, job: TraceJob, works: int) -> None:
         assert job.variant == "cuda_ad_spectral"
         self.own, self.works = OwnTracer(replace(job, variant=VARIANT)), works
 
