@@ -210,7 +210,7 @@ class ChannelGrid(NamedTuple):
         return ChannelGrid(self.data.T, self.x, self.row)
 
 
-class Part(NamedTuple):
+class WeightedChannel(NamedTuple):
     """Grids of one channel, and the weight of the channel in what is measured."""
 
     weight: float
@@ -263,7 +263,7 @@ def edge_response(
         check_saturation(np.concatenate([grid.data.ravel() for part in parts for grid in part.grids]), saturation)
     turned = is_turned(parts)
     if turned:
-        parts = [Part(part.weight, [grid.turned() for grid in part.grids]) for part in parts]
+        parts = [WeightedChannel(part.weight, [grid.turned() for grid in part.grids]) for part in parts]
         period = period[::-1]
     if name is None:
         check_mosaic(parts[0].grids[0].data)
@@ -274,7 +274,7 @@ def edge_response(
     grids = [grid for part in parts for grid in part.grids]
     intercept, slope = fit_edge(grids, np.sign(contrast), period[1])
     rows, half_px = rows_and_window(grids, intercept, slope, half_window_px, period[1])
-    parts = [Part(weight, [within(grid, rows) for grid in own]) for weight, own in parts]
+    parts = [WeightedChannel(weight, [within(grid, rows) for grid in own]) for weight, own in parts]
     for bins_a_pixel in bins_of(period[1]):
         binned = [edge_spread(part.grids, intercept, slope, half_px, bins_a_pixel) for part in parts]
         if all((one.pixels > 0).all() for one in binned):
@@ -323,7 +323,7 @@ def check_saturation(data: Array, saturation: float) -> None:
 
 def parts_of(
     picture: ArrayLike, region: Sequence[int] | None, layout: str | None, channel: str | None
-) -> tuple[list[Part], tuple[int, int], str | None]:
+) -> tuple[list[WeightedChannel], tuple[int, int], str | None]:
     """The pixels to measure, the rows and columns after which they repeat, and the name of their channel, if any.
 
     Raises PixsimError if the region is none of the picture, if the layout is not of it, or for an unknown channel.
@@ -340,10 +340,10 @@ def parts_of(
             raise invalid("layout", f"{layout} for a picture of shape {whole.shape}", f"rows that {known.planes} planes divide")
         planes = dict(zip(known.channels, np.split(whole, known.planes), strict=True))
         wanted = named_channels(known, channel)
-        return [Part(weight, [grid_of(cropped(planes[letter], region))]) for letter, weight in wanted], (1, 1), channel
+        return [WeightedChannel(weight, [grid_of(cropped(planes[letter], region))]) for letter, weight in wanted], (1, 1), channel
     data = cropped(whole, region)
     if channel is None and (known is None or len(known.channels) == 1):
-        return [Part(1.0, [grid_of(data)])], (1, 1), None
+        return [WeightedChannel(1.0, [grid_of(data)])], (1, 1), None
     period = (2, 2) if known is None else known.period
     if min(data.shape) < MIN_SIDE_PX * max(period):
         got = f"{data.shape[1]} × {data.shape[0]} pixels"
@@ -357,12 +357,12 @@ def parts_of(
         row, column = int(place[1]), int(place[2])
         if row >= period[0] or column >= period[1]:
             raise invalid("channel", channel, f"a row,column from 0,0 to {period[0] - 1},{period[1] - 1}")
-        return [Part(1.0, grids([(row, column)]))], period, channel
+        return [WeightedChannel(1.0, grids([(row, column)]))], period, channel
     if known is None:
-        return [Part(1.0, grids(green_places(data, channel or "", (y0, x0))))], period, channel
+        return [WeightedChannel(1.0, grids(green_places(data, channel or "", (y0, x0))))], period, channel
     cell = [(row, column, letter) for row, line in enumerate(known.cell) for column, letter in enumerate(line)]
     return [
-        Part(weight, grids([(row, column) for row, column, letter in cell if letter == wanted]))
+        WeightedChannel(weight, grids([(row, column) for row, column, letter in cell if letter == wanted]))
         for wanted, weight in named_channels(known, channel)
     ], period, channel  # fmt: skip
 
@@ -467,7 +467,7 @@ def cropped(picture: ArrayLike, region: Sequence[int] | None) -> Array:
     return data
 
 
-def is_turned(parts: Sequence[Part]) -> bool:
+def is_turned(parts: Sequence[WeightedChannel]) -> bool:
     """Whether the edge runs along the rows."""
     steps = [abs(sum(part.weight * step_of(part.grids, axis) for part in parts)) for axis in (0, 1)]
     return bool(steps[1] < steps[0])
@@ -485,7 +485,7 @@ def sides_of(grids: Sequence[ChannelGrid], axis: int = 1) -> tuple[float, float]
     return float(sides[0]), float(sides[1])
 
 
-def contrast_of(parts: Sequence[Part]) -> float:
+def contrast_of(parts: Sequence[WeightedChannel]) -> float:
     """Michelson contrast of a near-vertical edge, negative if bright on the left.
 
     Raises PixsimError if it is too low in itself or for the noise.
@@ -518,14 +518,14 @@ def outer_quarters(data: Array) -> tuple[float, float]:
     return float(data[:quarter].mean()), float(data[-quarter:].mean())
 
 
-def balanced(parts: list[Part]) -> list[Part]:
+def balanced(parts: list[WeightedChannel]) -> list[WeightedChannel]:
     """The channels scaled to their weighted mean's levels on both sides of a grey edge; one channel is left as it is."""
     if len(parts) == 1:
         return parts
     sides = [sides_of(part.grids) for part in parts]
     low, high = (sum(part.weight * side[at] for part, side in zip(parts, sides, strict=True)) for at in (0, 1))
     return [
-        Part(weight, [grid._replace(data=low + (grid.data - dark) * ((high - low) / (light - dark))) for grid in grids])
+        WeightedChannel(weight, [grid._replace(data=low + (grid.data - dark) * ((high - low) / (light - dark))) for grid in grids])
         for (weight, grids), (dark, light) in zip(parts, sides, strict=True)
     ]
 

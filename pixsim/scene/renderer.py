@@ -129,7 +129,7 @@ LEVEL_STRIDE = 1000003
 LEVEL_FACTOR = 4  # keeps sample counts for which the result is the same bit for bit on any number of threads
 
 
-class Part(NamedTuple):
+class FilmRows(NamedTuple):
     """Rows of a film, the pulses whose pictures a trace gives, and the trace of a seed: (rows, columns, pulses)."""
 
     rows: slice
@@ -142,7 +142,7 @@ class Work(NamedTuple):
 
     renders: int
     spp: int
-    parts: list[Part]
+    parts: list[FilmRows]
 
 
 @checks_arguments
@@ -331,19 +331,19 @@ class Renderer:
         # Scalar variants have no kernels that passes could share.
         together = self.job.passes[scene] is not None and not self.job.variant.startswith("scalar")
         samples, most = (spp * len(light.fit.passes), SAMPLES_TOGETHER) if together else (spp, SAMPLES_PER_KERNEL)
-        parts: list[Part] = []
+        parts: list[FilmRows] = []
         strips_of_film = [slice(*borders) for borders in pairwise(self._strip_borders(samples, most))]
         if together:
             pulses = list(range(len(light.fit.pulses)))
             for rows in strips_of_film:
                 trace = partial(self.tracer.trace_together, scene, (rows.start, rows.stop), sampler, spp)
-                parts.append(Part(rows, pulses, trace))
+                parts.append(FilmRows(rows, pulses, trace))
             return Work(renders, renders * spp, parts)
         for channels in light.fit.passes:
             responses = [film_response(light.fit.pulses[pulse]) for pulse in channels]
             for rows in strips_of_film:
                 crop = film(responses, self.field, rows.start, rows.stop)
-                parts.append(Part(rows, channels, partial(self.tracer.trace, scene, crop, sampler, spp)))
+                parts.append(FilmRows(rows, channels, partial(self.tracer.trace, scene, crop, sampler, spp)))
         return Work(renders, renders * spp, parts)
 
     def _exact(self) -> Pictures:

@@ -48,7 +48,7 @@ from pixsim.studies.film_error import (
     SAFE,
     UNSURE,
     FilmSampling,
-    Part,
+    PicturePart,
     Place,
     coarser,
     film_error,
@@ -425,7 +425,7 @@ class BehindLens:
         across = len({columns.start for _, columns in patches})
         return [[_joined(of_film, across)] for of_film in found]
 
-    def of_part(self, part: Part, fine: Sequence[SpectralImage]) -> list[tuple[ChannelLight, ...]]:
+    def of_part(self, part: PicturePart, fine: Sequence[SpectralImage]) -> list[tuple[ChannelLight, ...]]:
         """Return the light of a part on finer films, beyond which its light goes on as in a mirror."""
         films = []
         for image in fine:
@@ -457,7 +457,7 @@ def _joined(lights: Sequence[tuple[ChannelLight, ...]], across: int) -> tuple[Ch
     return tuple(joined)
 
 
-def _finer_delta_e(parts: Sequence[Part], lens: BehindLens | None, imaging: Imaging, film_done: Callable[[], None]) -> Array:
+def _finer_delta_e(parts: Sequence[PicturePart], lens: BehindLens | None, imaging: Imaging, film_done: Callable[[], None]) -> Array:
     """Return `FilmSteps.finer_delta_e`.
 
     film_done : called after each of the films `FINER`
