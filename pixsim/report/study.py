@@ -22,13 +22,13 @@ from pixsim.report.wording import DELTA_E, blur_words, budget_section, compromis
 from pixsim.sensor.labels import file_label, labels_of
 from pixsim.show.document import (
     Block,
+    DeltaEScale,
     Document,
     Fact,
     Link,
     Note,
     Pictures,
     Plot,
-    Scale,
     Section,
     Slider,
     Table,
@@ -411,7 +411,7 @@ def _pictures(result: StudyResult, views: Sequence[Views]) -> Iterator[Block]:
         place = f"{chosen}. Its centre is at {across} of the picture's width and {down} of its height, from the upper left."
         of, label = f"detail in {view.label}", capital(view.label)
         yield Section("", f"{label}: the same detail for every pixel size", [place, Tiles(view.tiles, of)])
-        errors = Pictures(view.crops, of), Scale(scale(map_end(result)))
+        errors = Pictures(view.crops, of), DeltaEScale(scale(map_end(result)))
         yield Section("", f"{label}: errors in that detail", errors, together=True)
         heading = "Pixel size to compare with the ideal image:"
         slider = Slider(f"slider-{number}", heading, view.ideal, view.outputs)

@@ -161,7 +161,7 @@ class Tiles:
 
 
 @dataclass(frozen=True)
-class Scale:
+class DeltaEScale:
     """The colour scale of the ΔE maps."""
 
     picture: Picture
@@ -209,7 +209,9 @@ class Section(DocumentRecord):
     brief: bool = False
 
 
-Block: TypeAlias = Text | Answer | Fact | Note | Listed | Table | Beside | Plot | Pictures | Tiles | Scale | Map | Slider | Section
+Block: TypeAlias = (
+    Text | Answer | Fact | Note | Listed | Table | Beside | Plot | Pictures | Tiles | DeltaEScale | Map | Slider | Section
+)
 
 
 @dataclass(frozen=True)
