@@ -64,7 +64,7 @@ from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.raw_metrics import has_target
-from pixsim.viewer.score import ImagingChain, Seen, white_header
+from pixsim.viewer.score import ImagingChain, SeenPicture, white_header
 from pixsim.viewer.setting import Setting
 
 TOLERATED_DELTA_E, TOLERATED_SHARE = 0.01, 0.02  # of mean ΔE
@@ -201,7 +201,7 @@ def measure_film(
     """
 
     with without_warnings():  # the run itself warns of the white
-        white = white_header([Seen(image, each.camera, each.physics) for each in measured], measured[0].display)
+        white = white_header([SeenPicture(image, each.camera, each.physics) for each in measured], measured[0].display)
         shown = image.with_planes(image.whole.planes, header=image.header | white, margin=image.margin)
 
     def steps_of(number: int, imaging: Imaging) -> tuple[float, tuple[float, float]]:

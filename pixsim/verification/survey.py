@@ -36,7 +36,7 @@ from pixsim.verification.result import Accuracy
 from pixsim.verification.solvers import Solved, solvers
 from pixsim.viewer.develop_options import with_functions
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.score import Seen, white_header
+from pixsim.viewer.score import SeenPicture, white_header
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
 
@@ -60,7 +60,7 @@ def first_picture(scene: Scene, camera: Camera, plan: Plan, design: ProbeDesign)
         image = job.image(*job.run(1))
         render_s = time.perf_counter() - start
     imaging = design.imaging
-    image.header |= white_header([Seen(image, camera, imaging.physics, imaging.border_um)], imaging.display)
+    image.header |= white_header([SeenPicture(image, camera, imaging.physics, imaging.border_um)], imaging.display)
     return image, {"compile": max(first - render_s, 0.0), "render": render_s}
 
 
