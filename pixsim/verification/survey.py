@@ -30,7 +30,7 @@ from pixsim.studies.cases import Case
 from pixsim.studies.preparation import loaded_scene
 from pixsim.studies.run import RunJob, RunResult
 from pixsim.verification import ladders, stability
-from pixsim.verification.ladders import FULL_WORK, Clock, Depth, Rung, Step, Subject
+from pixsim.verification.ladders import FULL_WORK, Clock, Depth, Rung, RungToMeasure, Subject
 from pixsim.verification.reference import REFERENCE_WORK, analytic_reference, formula_of, rendered_reference
 from pixsim.verification.result import Accuracy
 from pixsim.verification.solvers import Solved, solvers
@@ -241,7 +241,7 @@ def all_rungs(subject: Subject, depth: Depth, clock: Clock, progress: Stage) -> 
     """Rungs of the default settings and of all ladders; the most expensive come last and are skipped if time runs out."""
     report_progress = progress("ladders")
     picture = partial(ladders.rendered, subject.scene, subject.camera, subject.plan)
-    shipped_step = Step("default settings", subject.plan.spp, picture, shipped=True)
+    shipped_step = RungToMeasure("default settings", subject.plan.spp, picture, shipped=True)
     began = time.perf_counter()
     shipped = ladders.measure("methods", shipped_step, subject, clock)
     whole_s = time.perf_counter() - began - (clock.runs + 1) * subject.render_s
