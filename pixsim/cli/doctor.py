@@ -227,7 +227,7 @@ def _status_of_library(line: dict[str, Any], taken: str | None) -> tuple[str, st
     return OK, "usable, but another is preferred", None
 
 
-def _variants(renders: dict[str, Trial], taken: str | None, card: graphics.Verdict) -> Iterator[Diagnosis]:
+def _variants(renders: dict[str, Trial], taken: str | None, card: graphics.GraphicsTrial) -> Iterator[Diagnosis]:
     compiled = next((names for trial in renders.values() if (names := trial.facts.get("compiled_in"))), None)
     if compiled:
         yield Diagnosis("Mitsuba", "compiled in", OK, ", ".join(compiled), facts={"variants": compiled})
@@ -255,7 +255,7 @@ def _test_render(chosen: Trial, scalar: Trial | None) -> Diagnosis:
     return Diagnosis("test render", taken or "Mitsuba", PROBLEM, fault, unset or fix, facts)
 
 
-def _graphics(card: graphics.Verdict) -> Diagnosis:
+def _graphics(card: graphics.GraphicsTrial) -> Diagnosis:
     cards = machine.graphics_cards()
     facts = {"cards": cards, "card": card.card, "fault": card.fault}
     shown = "; ".join(cards) or card.card

@@ -33,7 +33,7 @@ from pixsim.show.document import (
     Slider,
     Table,
     Tiles,
-    Verdict,
+    VerdictText,
     headline,
     made_with,
     pairs,
@@ -460,9 +460,9 @@ def _paper(result: StudyResult, rows: Sequence[Finding]) -> list[Block]:
     return [PAPER, response_note(result.study), table, more] if rows else []
 
 
-def agrees(whether: bool) -> tuple[Verdict]:
+def agrees(whether: bool) -> tuple[VerdictText]:
     """Return whether a result agrees with a statement, for a cell of a table."""
-    return (Verdict("yes" if whether else "does not agree", whether),)
+    return (VerdictText("yes" if whether else "does not agree", whether),)
 
 
 def _metric_columns(curve: Curve) -> Iterator[tuple[str, list[str]]]:

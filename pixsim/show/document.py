@@ -34,14 +34,14 @@ class Link:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class VerdictText:
     """Words in the colour of what is as it should be, or of what is not."""
 
     text: str
     good: bool
 
 
-Text: TypeAlias = str | tuple[str | Strong | Link | Verdict, ...]
+Text: TypeAlias = str | tuple[str | Strong | Link | VerdictText, ...]
 
 
 @dataclass(frozen=True)
@@ -288,7 +288,7 @@ def plain_text(text: Text) -> str:
 
 def joined(parts: Iterable[Text], between: str = "; ") -> Text:
     """Return parts as one text."""
-    words: list[str | Strong | Link | Verdict] = []
+    words: list[str | Strong | Link | VerdictText] = []
     for part in parts:
         words += ([between] if words else []) + ([part] if isinstance(part, str) else list(part))
     return "".join(map(str, words)) if all(isinstance(word, str) for word in words) else tuple(words)

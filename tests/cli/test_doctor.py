@@ -235,19 +235,19 @@ def test_broken_packages_uses_lines_before_abort():
 def test_graphics_card_gives_finding():
     """A card that works is the default; one that does not is a note with its reason; no card at all is fine."""
 
-    def found(card: graphics.Verdict, taken: str) -> tuple[Diagnosis, Diagnosis]:
+    def found(card: graphics.GraphicsTrial, taken: str) -> tuple[Diagnosis, Diagnosis]:
         right = trial.Trial([{"mean_error": 1e-5, "rms_error": 4e-3}], 1.0, 0, "")
         (of_variant,) = (f for f in doctor._variants({taken: right}, taken, card) if f.subject == "cuda_ad_spectral")
         return of_variant, doctor._graphics(card)
 
-    of_variant, of_machine = found(graphics.Verdict(None, "NVIDIA of a test, 8.0 GiB, CUDA 12.8", 1e9), "cuda_ad_spectral")
+    of_variant, of_machine = found(graphics.GraphicsTrial(None, "NVIDIA of a test, 8.0 GiB, CUDA 12.8", 1e9), "cuda_ad_spectral")
     assert (of_variant.mark, of_variant.found) == (OK, "works and is the default")
     assert (of_machine.mark, of_machine.found) == (OK, "NVIDIA of a test, 8.0 GiB, CUDA 12.8")
     fault = "its trial render fails: dies of signal 6 (SIGABRT)"
-    of_variant, of_machine = found(graphics.Verdict(fault, "NVIDIA of a test", 1e9), "llvm_ad_spectral")
+    of_variant, of_machine = found(graphics.GraphicsTrial(fault, "NVIDIA of a test", 1e9), "llvm_ad_spectral")
     assert (of_variant.mark, of_variant.found) == (NOTE, f"does not work: {fault}")
     assert (of_machine.mark, of_machine.found) == (NOTE, f"NVIDIA of a test; not used: {fault}")
-    of_variant, of_machine = found(graphics.Verdict(graphics.NO_CARD), "llvm_ad_spectral")
+    of_variant, of_machine = found(graphics.GraphicsTrial(graphics.NO_CARD), "llvm_ad_spectral")
     assert (of_variant.mark, of_machine.mark) == (OK, OK)
     assert of_machine.found == f"none usable: {graphics.NO_CARD}"
 

@@ -128,7 +128,7 @@ def test_machine_without_card_starts_nothing(fresh: pytest.MonkeyPatch, tmp_path
     fresh.setattr(graphics, "NODES", (str(tmp_path / "nvidiactl"),))
     fresh.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("started a process"))
     fresh.setattr(graphics, "loaded_driver", lambda: pytest.fail("loaded a library"))
-    assert graphics.verdict() == graphics.Verdict(graphics.NO_CARD)
+    assert graphics.verdict() == graphics.GraphicsTrial(graphics.NO_CARD)
     fresh.setattr(variant, "_for_processors", lambda _: (variant.ChosenVariant("llvm_ad_spectral", "lib", "system, LLVM 19"), ""))
     assert variant.choose() == variant.ChosenVariant(
         "llvm_ad_spectral", "lib", f"system, LLVM 19; no graphics card: {graphics.NO_CARD}"
@@ -231,7 +231,7 @@ def test_card_that_fails_to_start_fails_its_trial(driver: pytest.MonkeyPatch, tm
 
 def test_card_that_works_is_tried_once(machine: Machine):
     with pytest.warns(UserWarning, match=r"the graphics card \(NVIDIA of a test, 8.0 GiB, CUDA 12.8\) passed its trial"):
-        assert graphics.verdict() == graphics.Verdict(None, CARD, machine.now_s)
+        assert graphics.verdict() == graphics.GraphicsTrial(None, CARD, machine.now_s)
     assert machine.tries == ["driver", "render cuda_ad_spectral"]
     machine.now_s += 1e9
     with warnings.catch_warnings():
@@ -295,7 +295,7 @@ def test_other_driver_or_visible_cards_are_tried(machine: Machine):
 def test_without_cache_nothing_is_tried(machine: Machine, name: str, value: str):
     """Or each process would try, and each worker of a study; `pixsim doctor` does."""
     machine.patch.setenv(name, value)
-    assert graphics.verdict() == graphics.Verdict(graphics.NOT_KEPT)
+    assert graphics.verdict() == graphics.GraphicsTrial(graphics.NOT_KEPT)
     assert machine.tries == []
     assert graphics.verdict(again=True).fault is None
 
