@@ -119,6 +119,16 @@ def package_arrows(*, settings: bool) -> set[tuple[str, str]]:
     return {(one, other) for one, other in pairs if one != other}
 
 
+def test_name_of_a_class_stands_once() -> None:
+    """A reader who meets a class by its name, in an error or a type, finds the one that is meant."""
+    places: dict[str, list[str]] = {}
+    for module in MODULES:
+        for node in tree(module).body:
+            if isinstance(node, ast.ClassDef):
+                places.setdefault(node.name, []).append(module)
+    assert {name: modules for name, modules in places.items() if len(modules) > 1} == {}
+
+
 def test_files_are_in_packages() -> None:
     assert {module.partition(".")[0] for module in MODULES} == set(ALLOWED)
     assert {path.name for path in PACKAGE.glob("*.py")} == {"__init__.py", "__main__.py"}
