@@ -119,6 +119,26 @@ def package_arrows(*, settings: bool) -> set[tuple[str, str]]:
     return {(one, other) for one, other in pairs if one != other}
 
 
+def test_architecture_names_each_file_of_studies() -> None:
+    page = Path(__file__).parents[1] / "docs/architecture.md"
+    if not page.is_file():
+        pytest.skip("the tests are installed without the pages' sources")
+    section = page.read_text(encoding="utf-8").partition("### The files of `studies/`")[2].partition("\nKeys decide")[0]
+    files = {path.stem for path in (PACKAGE / "studies").glob("*.py")} - {"__init__"}
+    unnamed = {name for name in files if f"`{name}`" not in section}
+    assert not unnamed, "name each file of pixsim/studies in docs/architecture.md, The files of `studies/`"
+
+
+def test_name_of_a_class_stands_once() -> None:
+    """A reader who meets a class by its name, in an error or a type, finds the one that is meant."""
+    places: dict[str, list[str]] = {}
+    for module in MODULES:
+        for node in tree(module).body:
+            if isinstance(node, ast.ClassDef):
+                places.setdefault(node.name, []).append(module)
+    assert {name: modules for name, modules in places.items() if len(modules) > 1} == {}
+
+
 def test_files_are_in_packages() -> None:
     assert {module.partition(".")[0] for module in MODULES} == set(ALLOWED)
     assert {path.name for path in PACKAGE.glob("*.py")} == {"__init__.py", "__main__.py"}

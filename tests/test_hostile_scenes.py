@@ -33,7 +33,7 @@ from pixsim.scene.guard.inspector import open_scene
 from pixsim.scene.guard.meshes import inspect_mesh
 from pixsim.scene.guard.own_tracer import OwnTracer
 from pixsim.scene.guard.plugins import MAX_ELEMENTS, PLUGINS
-from pixsim.scene.job import Job, OutOfTimeError
+from pixsim.scene.job import OutOfTimeError, TraceJob
 from pixsim.scene.mitsuba import parse, speaking_mitsuba
 from pixsim.scene.packaged import packaged_scenes
 from pixsim.scene.tree import nodes_of, tree_of
@@ -348,7 +348,7 @@ def test_allowed_plugins_are_built(kind, assets):
         inside = NEEDED.get(name, "") + (WEIGHT if name.startswith("blend") else "")
         lit = SENSOR if kind == "emitter" else LIT.removeprefix('<integrator type="path"/>')
         text = open_scene(scene_of(assets, BUILT[kind].format(name, inside), lit=lit), {}).text
-        assert OwnTracer(Job(VARIANT, text, (None,), 1, {"type": "thinlens"}, None, ())).loaded, name
+        assert OwnTracer(TraceJob(VARIANT, text, (None,), 1, {"type": "thinlens"}, None, ())).loaded, name
 
 
 # --- Files that a scene names ----------------------------------------------------------------------------------------------------
@@ -541,10 +541,10 @@ def test_random_scene_is_loaded_or_refused(assets):
 TRACED = LIT + SPHERE.format('<bsdf type="diffuse"><spectrum name="reflectance" value="400:0.2, 700:0.4"/></bsdf>')
 
 
-def job_of(folder: Path, variant: str = VARIANT) -> Job:
+def job_of(folder: Path, variant: str = VARIANT) -> TraceJob:
     text = open_scene(scene_of(folder, TRACED, lit=""), {}).text
     lens = {"type": "thinlens", "fov": 40.0, "aperture_radius": 0.0005, "focus_distance": 1.0}
-    return Job(variant, text, (None,), 2, lens, None, ())
+    return TraceJob(variant, text, (None,), 2, lens, None, ())
 
 
 def film_of(side: int = SIDE) -> dict:

@@ -240,7 +240,7 @@ def _store(path: Path, write: Callable[[Path], object], size_bytes: int) -> None
 
 
 @dataclass(frozen=True)
-class Entry:
+class CacheFile:
     """A file of the cache; its kind is the name of its folder."""
 
     path: Path
@@ -252,7 +252,7 @@ class Entry:
         return self.path.parent.name
 
 
-def entries(kind: str | None = None) -> list[Entry]:
+def entries(kind: str | None = None) -> list[CacheFile]:
     """All entries, or those of a kind, in order of last use. Files of Mitsuba and Matplotlib only if `kind` names them."""
     known = [entry for entry, is_own in _files(kind) if is_own]
     return sorted(known, key=lambda entry: (entry.used_s, entry.path))
@@ -272,7 +272,7 @@ def _kinds(kind: str | None) -> Iterator[tuple[str, int]]:
                     yield name, descriptor
 
 
-def _files(kind: str | None) -> Iterator[tuple[Entry, bool]]:
+def _files(kind: str | None) -> Iterator[tuple[CacheFile, bool]]:
     """The files of `entries` in any order, and whether they are entries."""
     for name, descriptor in _kinds(kind):
         for file in os.listdir(folder() / name):
@@ -281,7 +281,7 @@ def _files(kind: str | None) -> Iterator[tuple[Entry, bool]]:
                 if stat.S_ISREG(status.st_mode):
                     helper = HELPERS.get(name)
                     is_own = bool(helper.fullmatch(file)) if helper else _is_entry(descriptor, name, file)
-                    yield Entry(folder() / name / file, status.st_size, status.st_mtime), is_own
+                    yield CacheFile(folder() / name / file, status.st_size, status.st_mtime), is_own
 
 
 def trim() -> int:
@@ -302,7 +302,7 @@ def clear(kind: str | None = None) -> int:
     return sum(_remove(entry) for entry in entries(kind))
 
 
-def _remove(entry: Entry) -> int:
+def _remove(entry: CacheFile) -> int:
     """Remove a file of `entries` and return the bytes freed: 0 if it belongs to another user, or is gone."""
     try:
         with subfolder(folder(), [entry.kind]) as descriptor:

@@ -84,7 +84,7 @@ OPTIONAL = {  # package -> extra of pixsim that installs it, and its purpose
 
 
 @dataclass(frozen=True)
-class Finding:
+class Diagnosis:
     """One line of the report; the names are keys of `pixsim doctor --json`.
 
     room, subject, mark : group of the line, what was checked, and OK, NOTE or PROBLEM
@@ -99,7 +99,7 @@ class Finding:
     facts: dict[str, Any] = field(default_factory=dict, repr=False)
 
 
-def examine(out: Path = Path("pixsim-out"), limit_s: float = LIMIT_S) -> list[Finding]:
+def examine(out: Path = Path("pixsim-out"), limit_s: float = LIMIT_S) -> list[Diagnosis]:
     """Run all checks, in about 5 s, or at most about three times `limit_s` if something hangs; a graphics card has its own limits.
 
     out : output folder to check; it need not exist
@@ -136,7 +136,7 @@ def examine(out: Path = Path("pixsim-out"), limit_s: float = LIMIT_S) -> list[Fi
     ]
 
 
-def doctor_document(findings: Sequence[Finding]) -> Document:
+def doctor_document(findings: Sequence[Diagnosis]) -> Document:
     """Return the answer of `pixsim doctor`: the findings below their groups, each with the command that fixes it."""
     rows: list[tuple[str, ...]] = []
     for room, of_room in groupby(findings, attrgetter("room")):
@@ -151,39 +151,39 @@ def doctor_document(findings: Sequence[Finding]) -> Document:
     return Document("doctor", "check", verdict, data, (Table("findings", (), rows, words=None), "", f"{verdict}: {counts}"))
 
 
-def _software(required: dict[str, str], imports: Trial) -> Iterator[Finding]:
+def _software(required: dict[str, str], imports: Trial) -> Iterator[Diagnosis]:
     group, package = "software", Path(str(resources.files("pixsim")))
     mark, text, fix = OK, f"{VERSION} in {package}", None
     if not required:
         mark, fix = PROBLEM, pip("-e", str(package.parent))
         text += " is on the path but not installed: `pixsim run` cannot read its version"
-    yield Finding(group, "pixsim", mark, text, fix, {"version": VERSION})
+    yield Diagnosis(group, "pixsim", mark, text, fix, {"version": VERSION})
     python = platform.python_version()
-    yield Finding(group, "Python", OK, f"{python} ({sys.executable})", facts={"version": python})
+    yield Diagnosis(group, "Python", OK, f"{python} ({sys.executable})", facts={"version": python})
     system = f"{platform.platform()}, {platform.machine()}"
     untested = "" if sys.platform == "linux" else "; pixsim is tested on Linux only"
-    yield Finding(group, "system", NOTE if untested else OK, system + untested, facts={"platform": platform.platform()})
+    yield Diagnosis(group, "system", NOTE if untested else OK, system + untested, facts={"platform": platform.platform()})
     required = required or dict.fromkeys(MIN_VERSIONS, "")
     versions = {name: installed(name) for name in required}
     text = ", ".join(f"{name} {version}" for name, version in versions.items() if version)
-    yield Finding(group, "packages", OK, text, facts={"versions": versions})
+    yield Diagnosis(group, "packages", OK, text, facts={"versions": versions})
     yield from _broken_packages(required, versions, imports)
 
 
-def _broken_packages(required: dict[str, str], versions: dict[str, str | None], imports: Trial) -> Iterator[Finding]:
+def _broken_packages(required: dict[str, str], versions: dict[str, str | None], imports: Trial) -> Iterator[Diagnosis]:
     errors = {line["module"]: line["error"] for line in imports.lines if "module" in line}
     if imports.fault and imports.lines:
         errors[imports.lines[-1]["importing"]] = imports.fault
     for name, allowed in required.items():
         version, error = versions[name], errors.get(module_of(name))
         if version is None:
-            yield Finding("software", name, PROBLEM, "is not installed", pip(f"{name}{allowed}"))
+            yield Diagnosis("software", name, PROBLEM, "is not installed", pip(f"{name}{allowed}"))
         elif not satisfies(version, allowed):
-            yield Finding("software", name, PROBLEM, f"{version}; pixsim needs {allowed}", pip(f"{name}{allowed}"))
+            yield Diagnosis("software", name, PROBLEM, f"{version}; pixsim needs {allowed}", pip(f"{name}{allowed}"))
         elif error:
             verb = "" if error.startswith(("hangs", "dies", "fails")) else "fails: "
             fix = pip("--force-reinstall", f"{name}{allowed}")
-            yield Finding("software", name, PROBLEM, f"{version} is installed, but its import {verb}{error}", fix)
+            yield Diagnosis("software", name, PROBLEM, f"{version} is installed, but its import {verb}{error}", fix)
 
 
 def usable_llvm(libraries: Trial) -> str | None:
@@ -194,24 +194,24 @@ def usable_llvm(libraries: Trial) -> str | None:
     return next((line["path"] for line in candidates if line["fault"] is None), None)
 
 
-def _llvm(libraries: Trial, taken: str | None) -> Iterator[Finding]:
+def _llvm(libraries: Trial, taken: str | None) -> Iterator[Diagnosis]:
     candidates = [line for line in libraries.lines if "path" in line]
     for line in candidates:
         mark, reason, fix = _status_of_library(line, taken)
         version = f"LLVM {line['version']}, " if line["version"] else ""
-        yield Finding("LLVM", line["origin"], mark, f"{line['path']}: {version}{reason}", fix, line)
+        yield Diagnosis("LLVM", line["origin"], mark, f"{line['path']}: {version}{reason}", fix, line)
     if libraries.fault:
         path = libraries.lines[-1].get("judging") if libraries.lines else None
         text = f"the check of {path or 'the libraries'} {libraries.fault}"
-        yield Finding("LLVM", "libraries", PROBLEM, text, f"export {variant.LLVM_VARIABLE}=FILE  # another libLLVM")
+        yield Diagnosis("LLVM", "libraries", PROBLEM, text, f"export {variant.LLVM_VARIABLE}=FILE  # another libLLVM")
     elif taken is None and not any(line["origin"] == variant.LLVM_VARIABLE for line in candidates):
         text = f"no usable LLVM {variant.OLDEST_LLVM} or newer; renders take several times as long"
         fix = f"export {variant.LLVM_VARIABLE}=FILE  # a libLLVM {variant.OLDEST_LLVM} or newer"
         if (sys.platform, platform.machine()) == ("linux", "x86_64"):
             fix = pip(variant.LLVM_WHEEL)
-        yield Finding("LLVM", "libraries", NOTE, text, fix)
+        yield Diagnosis("LLVM", "libraries", NOTE, text, fix)
     if mapped := machine.mapped_files("libLLVM"):
-        yield Finding("LLVM", "this process", OK, f"has loaded {', '.join(mapped)}", facts={"mapped": mapped})
+        yield Diagnosis("LLVM", "this process", OK, f"has loaded {', '.join(mapped)}", facts={"mapped": mapped})
 
 
 def _status_of_library(line: dict[str, Any], taken: str | None) -> tuple[str, str, str | None]:
@@ -227,18 +227,18 @@ def _status_of_library(line: dict[str, Any], taken: str | None) -> tuple[str, st
     return OK, "usable, but another is preferred", None
 
 
-def _variants(renders: dict[str, Trial], taken: str | None, card: graphics.Verdict) -> Iterator[Finding]:
+def _variants(renders: dict[str, Trial], taken: str | None, card: graphics.GraphicsTrial) -> Iterator[Diagnosis]:
     compiled = next((names for trial in renders.values() if (names := trial.facts.get("compiled_in"))), None)
     if compiled:
-        yield Finding("Mitsuba", "compiled in", OK, ", ".join(compiled), facts={"variants": compiled})
+        yield Diagnosis("Mitsuba", "compiled in", OK, ", ".join(compiled), facts={"variants": compiled})
     faults = {name: picture_fault(renders[name]) if name in renders else "needs a usable LLVM" for name in (LLVM, SCALAR)}
     for name, fault in (faults | {CUDA: card.fault}).items():
         mark = NOTE if fault and (name != CUDA or card.tried_s) else OK  # a graphics card is not required
         works = "works" + (" and is the default" if name == taken else f", with --variant {name}")
-        yield Finding("Mitsuba", name, mark, f"does not work: {fault}" if fault else works)
+        yield Diagnosis("Mitsuba", name, mark, f"does not work: {fault}" if fault else works)
 
 
-def _test_render(chosen: Trial, scalar: Trial | None) -> Finding:
+def _test_render(chosen: Trial, scalar: Trial | None) -> Diagnosis:
     fault, taken = picture_fault(chosen), chosen.facts.get("variant")
     facts = {**chosen.facts, "seconds": chosen.seconds}
     facts.pop("compiled_in", None)
@@ -248,74 +248,74 @@ def _test_render(chosen: Trial, scalar: Trial | None) -> Finding:
             f"({facts['mean_error']:+.1e}; RMS {facts['rms_error']:.2%}); {chosen.seconds:.1f} s, "
             f"of which {facts['render_s']:.1f} s render"
         )
-        return Finding("test render", facts["variant"], OK, text, facts=facts)
+        return Diagnosis("test render", facts["variant"], OK, text, facts=facts)
     scalar_works = scalar is not None and picture_fault(scalar) is None and taken != SCALAR
     unset = f"unset {variant.LLVM_VARIABLE}" if variant.LLVM_VARIABLE in fault else None
     fix = f"pixsim run csf --variant {SCALAR}" if scalar_works else pip("--force-reinstall", "mitsuba==3.9.*", "drjit")
-    return Finding("test render", taken or "Mitsuba", PROBLEM, fault, unset or fix, facts)
+    return Diagnosis("test render", taken or "Mitsuba", PROBLEM, fault, unset or fix, facts)
 
 
-def _graphics(card: graphics.Verdict) -> Finding:
+def _graphics(card: graphics.GraphicsTrial) -> Diagnosis:
     cards = machine.graphics_cards()
     facts = {"cards": cards, "card": card.card, "fault": card.fault}
     shown = "; ".join(cards) or card.card
     if card.fault:
         text = f"{shown}; not used: {card.fault}" if shown else f"none usable: {card.fault}"
-        return Finding("machine", "GPU", NOTE if shown else OK, text, facts=facts)
-    return Finding("machine", "GPU", OK, shown, facts=facts)
+        return Diagnosis("machine", "GPU", NOTE if shown else OK, text, facts=facts)
+    return Diagnosis("machine", "GPU", OK, shown, facts=facts)
 
 
-def _hardware(threads: int | None) -> Iterator[Finding]:
+def _hardware(threads: int | None) -> Iterator[Diagnosis]:
     processors = machine.processors()
     text = f"{processors.cores} cores, {processors.allowed} for this process"
     text += "" if processors.granted is None else f", {processors.granted:g} granted by the container"
     text += f"; Mitsuba uses {threads} threads" if threads else ""
     few = processors.usable < (processors.cores or 1)
     fix = f"pixsim study STUDY --jobs {processors.usable}" if few else None
-    yield Finding("machine", "processors", NOTE if few else OK, text, fix, {**vars(processors), "threads": threads})
+    yield Diagnosis("machine", "processors", NOTE if few else OK, text, fix, {**vars(processors), "threads": threads})
     memory = machine.memory()
     text = f"{_gib(memory.total)} in total, {_gib(memory.available)} free"
     text += "" if memory.limit is None else f", {_gib(memory.limit)} allowed by the container"
     little = memory.usable is not None and memory.usable < MEMORY_GIB * cache.GIB
     fix = "pixsim run SCENE --resolution 512" if little else None
-    yield Finding("machine", "memory", NOTE if little else OK, text, fix, dict(vars(memory)))
+    yield Diagnosis("machine", "memory", NOTE if little else OK, text, fix, dict(vars(memory)))
 
 
 def _gib(size: int | None) -> str:
     return "unknown" if size is None else f"{size / cache.GIB:.1f} GiB"
 
 
-def _cache() -> Finding:
+def _cache() -> Diagnosis:
     fix = f"export {FOLDER_VARIABLE}=FOLDER"
     try:
         folder = cache.folder()
     except PixsimError as error:
-        return Finding("folders", "cache", PROBLEM, str(error), fix)
+        return Diagnosis("folders", "cache", PROBLEM, str(error), fix)
     try:
         limit = cache.limit_bytes()
         size = sum(entry.size_bytes for entry in cache.entries())
     except PixsimError as error:
-        return Finding("folders", "cache", PROBLEM, str(error), f"unset {cache.LIMIT_VARIABLE}")
+        return Diagnosis("folders", "cache", PROBLEM, str(error), f"unset {cache.LIMIT_VARIABLE}")
     except OSError as error:
-        return Finding("folders", "cache", PROBLEM, f"cannot be read: {error}", fix)
+        return Diagnosis("folders", "cache", PROBLEM, f"cannot be read: {error}", fix)
     fault, _ = machine.check_folder(folder)
     text = f"{folder}: {_gib(size)} of {_gib(limit)}" + (", disabled" if not limit else "")
     text += f", cannot be written ({fault}): no new entries" if fault else ""
     facts = {"folder": str(folder), "size_bytes": size, "limit_bytes": limit, "writable": fault is None}
-    return Finding("folders", "cache", NOTE if fault else OK, text, fix if fault else None, facts)
+    return Diagnosis("folders", "cache", NOTE if fault else OK, text, fix if fault else None, facts)
 
 
-def _space(subject: str, path: Path, fix: str) -> Finding:
+def _space(subject: str, path: Path, fix: str) -> Diagnosis:
     fault, free = machine.check_folder(path)
     facts = {"folder": str(path), "free_bytes": free, "writable": fault is None}
     if fault:
-        return Finding("folders", subject, PROBLEM, f"{path} cannot be written ({fault})", fix, facts)
+        return Diagnosis("folders", subject, PROBLEM, f"{path} cannot be written ({fault})", fix, facts)
     little = free is not None and free < DISK_GIB * cache.GIB
-    return Finding("folders", subject, NOTE if little else OK, f"{path}: {_gib(free)} free", fix if little else None, facts)
+    return Diagnosis("folders", subject, NOTE if little else OK, f"{path}: {_gib(free)} free", fix if little else None, facts)
 
 
-def _optional() -> Iterator[Finding]:
+def _optional() -> Iterator[Diagnosis]:
     for name, (extra, purpose) in OPTIONAL.items():
         version = installed(name)
         text = f"{version} ({purpose})" if version else f"not installed; only for {purpose}: pip install 'pixsim[{extra}]'"
-        yield Finding("optional", name, OK, text, facts={"version": version})
+        yield Diagnosis("optional", name, OK, text, facts={"version": version})

@@ -286,11 +286,11 @@ class SceneOptions:
     correction: CorrectionTable = None
     develop: DevelopTable = None
 
-    def settings(self, effort: Effort | None = None, **others: object) -> Run:
+    def settings(self, effort: EffortOptions | None = None, **others: object) -> Run:
         """Settings from defaults, files and options, in order of precedence. Raises PixsimError that lists all problems."""
         return run_settings(self.config or [], self.tables(effort, **others))
 
-    def tables(self, effort: Effort | None = None, **others: object) -> dict[str, Any]:
+    def tables(self, effort: EffortOptions | None = None, **others: object) -> dict[str, Any]:
         """The options without the files, as tables of `Run`.
 
         others : further tables and fields
@@ -299,7 +299,7 @@ class SceneOptions:
         del values["config"]
         return given({"scene": definitions(values.pop("define"), values.pop("linear")), **values})
 
-    def study_tables(self, scene: str | None, effort: Effort, **others: object) -> dict[str, Any]:
+    def study_tables(self, scene: str | None, effort: EffortOptions, **others: object) -> dict[str, Any]:
         """The options as tables of a study, in place of those of its file.
 
         scene : XML file or name of a packaged scene
@@ -313,7 +313,7 @@ class SceneOptions:
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class Effort:
+class EffortOptions:
     """Options of run and study: error tolerances, film, time limit and window, as text that the record validates."""
 
     tolerance_delta_e: Annotated[str | None, field_option(Run, "tolerance_delta_e")] = None
@@ -332,7 +332,7 @@ class Judges:
     metric: MetricTable = None
 
 
-NO_OPTIONS, NO_EFFORT, NO_JUDGES = SceneOptions(), Effort(), Judges()
+NO_OPTIONS, NO_EFFORT, NO_JUDGES = SceneOptions(), EffortOptions(), Judges()
 
 
 def given(options: dict[str, Any]) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from pixsim.base.arguments import SMALLEST, brief
 from pixsim.base.errors import names_in, quoted
 from pixsim.base.records import as_float
 from pixsim.light.quantities import MIN_FRACTION, Fraction
-from pixsim.light.tables import A_PER_W, IN_BRACKETS, PERCENT, Table, quantum_efficiency_of, read_table, unit_hint
+from pixsim.light.tables import A_PER_W, IN_BRACKETS, PERCENT, WavelengthTable, quantum_efficiency_of, read_table, unit_hint
 
 EfficiencyCurve = tuple[tuple[float, float], ...]  # (wavelength in nm, electrons per photon), wavelengths increasing
 ALLOWED_FILE = "a number, or a CSV file of wavelength in nm and value"
@@ -58,7 +58,7 @@ def read_curve(path: Path) -> EfficiencyCurve:
     return _check_curve(_efficiencies(table, path)[0] if table.columns else (), f"'{path}'")
 
 
-def _efficiencies(table: Table, path: Path) -> list[EfficiencyCurve]:
+def _efficiencies(table: WavelengthTable, path: Path) -> list[EfficiencyCurve]:
     """Quantum efficiency of each column, in the order of the wavelengths. ValueError if a responsivity makes it more than 1."""
     nm = [float(each) for each in table.nm]
     for column in table.columns:

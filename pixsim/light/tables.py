@@ -62,7 +62,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Table:
+class WavelengthTable:
     """Wavelengths in nm that increase, if the file's order is one, and columns of values against them."""
 
     nm: tuple[Decimal, ...]
@@ -156,7 +156,7 @@ def as_number(cell: str, decimal: str) -> Decimal | None:
 
 def read_table(
     path: Path, what: str, allowed: str, least: int, max_bytes: int, bounds_nm: tuple[float, float] = (0.0, math.inf)
-) -> Table:
+) -> WavelengthTable:
     """Read a table whose first column is wavelength.
 
     what, allowed : of the setting, for messages
@@ -219,7 +219,7 @@ def read_table(
     if hint := unit_hint([float(each) for each in nm], bounds_nm, unit, "the title"):
         mend = "" if unit else ", or state the unit in the title"
         raise ValueError(f"got '{path}' with {float(nm[0]):g} to {float(nm[-1]):g} nm; allowed: {allowed}. {hint}{mend}")
-    return Table(nm, tuple(columns))
+    return WavelengthTable(nm, tuple(columns))
 
 
 def _scaled(number: Decimal, power: int) -> Decimal:

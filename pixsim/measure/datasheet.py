@@ -25,7 +25,17 @@ from pixsim.base.progress import Stage, no_stage
 from pixsim.base.toml import read_toml
 from pixsim.measure import colour as colours, estimators
 from pixsim.measure.colour import Colour, measure_colour
-from pixsim.measure.estimators import QUANTISATION_DN2, Estimate, Linearity, Pair, PhotonTransfer, RowNoise, Series, Stack, root
+from pixsim.measure.estimators import (
+    QUANTISATION_DN2,
+    Estimate,
+    FrameStack,
+    Linearity,
+    Pair,
+    PairSeries,
+    PhotonTransfer,
+    RowNoise,
+    root,
+)
 from pixsim.measure.experiment import Experiment, make_experiment
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.noise import constant_e, signal_at_snr_e, variance_e2
@@ -107,13 +117,13 @@ class DataSheet:
     """
 
     experiment: Experiment = field(repr=False)
-    light: Series = field(repr=False)
-    dim: Series = field(repr=False)
+    light: PairSeries = field(repr=False)
+    dim: PairSeries = field(repr=False)
     dark: Pair
-    dark_series: Series = field(repr=False)
-    warm: dict[float, Series] = field(repr=False)
-    dark_stack: Stack = field(repr=False)
-    bright_stack: Stack = field(repr=False)
+    dark_series: PairSeries = field(repr=False)
+    warm: dict[float, PairSeries] = field(repr=False)
+    dark_stack: FrameStack = field(repr=False)
+    bright_stack: FrameStack = field(repr=False)
     grey: Array = field(repr=False)
     grey_photons: float
     bright_photons: float
@@ -142,10 +152,10 @@ class DataSheet:
         return self.light.mean_dn - self.dark.mean_dn
 
     @property
-    def rising(self) -> Series:
+    def rising(self) -> PairSeries:
         """`dim`, followed by `light` up to saturation."""
         end = self.transfer.saturation_index + 1
-        return Series(*(np.concatenate([dim, light[:end]]) for dim, light in zip(self.dim, self.light, strict=True)))
+        return PairSeries(*(np.concatenate([dim, light[:end]]) for dim, light in zip(self.dim, self.light, strict=True)))
 
     @cached_property
     def linearity(self) -> Linearity:
@@ -394,7 +404,7 @@ def measure(experiment: Experiment, stage: Stage | None = None, wavelength_nm: f
         allowed = f"codes of at most {1 / LEAST_NOISE_DN:g} standard deviations of the temporal noise at saturation"
         raise invalid("pixel.bits", got, allowed, "Use more bits, or a smaller full well.")
 
-    def pairs(name: str, photons: Array, of: Experiment = experiment) -> Series:
+    def pairs(name: str, photons: Array, of: Experiment = experiment) -> PairSeries:
         report_fraction, measured = report_progress(name), []
         for index, level in enumerate(photons.tolist()):
             measured.append(estimators.pair(*of.frames(2, level, name, index)))
@@ -599,7 +609,7 @@ def spatial(sheet: DataSheet) -> list[Entry]:
     nominal = math.sqrt(variance_e2(p, dark_e=dark_e, is_temporal=False))
     dsnu = f"from this device's maps; the parameters give √(offset² + column² + (σ_DSNU · dark)²) = {nominal:.4g}"
     of_gain = f"from this device's maps; the parameters give {100 * p.prnu:.4g}"
-    whole = estimators.parts(Stack(1, map_e, np.zeros_like(map_e)))
+    whole = estimators.parts(FrameStack(1, map_e, np.zeros_like(map_e)))
     # A mean of frames keeps a part of their row noise, which EMVA 1288 takes for a fixed pattern.
     left_e2 = constant_e(p, is_temporal=True, along="row") ** 2 / sheet.dark_stack.frames
     true_e2 = [

@@ -45,7 +45,7 @@ def pair(first: Frames, second: Frames) -> Pair:
 
 
 @dataclass(frozen=True)
-class Stack:
+class FrameStack:
     """Mean and temporal variance of each pixel over several frames under the same light.
 
     mean_dn, variance_dn2 : (rows, columns)
@@ -65,7 +65,7 @@ class Stack:
         return float(self.mean_dn.var(ddof=1)) - self.temporal_dn2 / self.frames
 
 
-def stack(frames: Iterable[Frames]) -> Stack:
+def stack(frames: Iterable[Frames]) -> FrameStack:
     """Mean and variance of each pixel; raises PixsimError for fewer than two frames."""
     count, total, squares = 0, np.zeros((), np.int64), np.zeros((), np.int64)
     for frame in frames:
@@ -74,10 +74,10 @@ def stack(frames: Iterable[Frames]) -> Stack:
     if count < 2:
         raise invalid("frames of a stack", count, "2 or more")
     sum_of_squares = (count * squares - total * total).astype(float) / count
-    return Stack(count, np.asarray(total / count), np.asarray(sum_of_squares / (count - 1)))
+    return FrameStack(count, np.asarray(total / count), np.asarray(sum_of_squares / (count - 1)))
 
 
-class Series(NamedTuple):
+class PairSeries(NamedTuple):
     """(n,) means and variances of pairs of frames against `at`, photons or seconds."""
 
     at: Array
@@ -86,8 +86,8 @@ class Series(NamedTuple):
     frame_variance_dn2: Array
 
 
-def series(at: Array, pairs: list[Pair]) -> Series:
-    return Series(np.asarray(at, float), *map(np.array, zip(*pairs, strict=True)))
+def series(at: Array, pairs: list[Pair]) -> PairSeries:
+    return PairSeries(np.asarray(at, float), *map(np.array, zip(*pairs, strict=True)))
 
 
 SENSITIVITY_SHARE = 0.7  # of saturation: range of the fits of K and R
@@ -228,7 +228,7 @@ def saturation_index(variance_dn2: Array) -> int:
 
 
 def photon_transfer(
-    light: Series,
+    light: PairSeries,
     dark_mean_dn: float,
     dark_variance_dn2: float,
     pixels: int,
@@ -309,24 +309,24 @@ def spatial_error(variance: float, residual: float, count: int) -> float:
     return math.sqrt((4 * max(variance, 0.0) * residual + 2 * residual**2) / count)
 
 
-def spatial_error_dn2(images: Stack) -> float:
+def spatial_error_dn2(images: FrameStack) -> float:
     """`spatial_error` of a stack's mean image."""
     return spatial_error(images.spatial_dn2, images.temporal_dn2 / images.frames, images.mean_dn.size)
 
 
-def dsnu_e(dark: Stack, gain: Estimate) -> Estimate:
+def dsnu_e(dark: FrameStack, gain: Estimate) -> Estimate:
     """DSNU1288 = s_dark/K: standard deviation of the mean dark image over the pixels, e- (section 8.2)."""
     return root(Estimate(dark.spatial_dn2, spatial_error_dn2(dark))) / gain
 
 
-def prnu(dark: Stack, bright: Stack) -> Estimate:
+def prnu(dark: FrameStack, bright: FrameStack) -> Estimate:
     """PRNU1288 = √(s²_bright - s²_dark)/signal from stacks in the dark and at half of saturation, a fraction (section 8.2)."""
     signal = float(bright.mean_dn.mean() - dark.mean_dn.mean())
     error_dn2 = math.hypot(spatial_error_dn2(bright), spatial_error_dn2(dark))
     return root(Estimate(bright.spatial_dn2 - dark.spatial_dn2, error_dn2)) * (1 / signal)
 
 
-def parts(images: Stack, of_rows: RowNoise = NO_ROW_NOISE) -> tuple[Estimate, Estimate, Estimate]:
+def parts(images: FrameStack, of_rows: RowNoise = NO_ROW_NOISE) -> tuple[Estimate, Estimate, Estimate]:
     """Spatial variances of a stack due to columns, rows and single pixels, DN² (Release 4.0, section 8.3).
 
     The three add up to the spatial variance; each is corrected for the others and for temporal noise. Standard errors come
@@ -351,7 +351,7 @@ def parts(images: Stack, of_rows: RowNoise = NO_ROW_NOISE) -> tuple[Estimate, Es
     )
 
 
-def dark_current(dark: Series, gain: Estimate, pixels: int, of_rows: RowNoise = NO_ROW_NOISE) -> tuple[Estimate, Estimate]:
+def dark_current(dark: PairSeries, gain: Estimate, pixels: int, of_rows: RowNoise = NO_ROW_NOISE) -> tuple[Estimate, Estimate]:
     """Dark current (e-/s per pixel) from the mean and from the variance: slopes over time, divided by K and K² (section 7.1).
 
     of_rows : for the standard errors

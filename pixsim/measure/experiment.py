@@ -17,7 +17,7 @@ import numpy as np
 from pixsim.base.arrays import Array, stream
 from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
-from pixsim.measure.estimators import Frames, Series, pair, series
+from pixsim.measure.estimators import Frames, PairSeries, pair, series
 from pixsim.sensor.collection import collected_fraction, even_light
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.photodiode import stored_signal_e
@@ -97,7 +97,7 @@ class Experiment:
         """Frames under the same light at the integration time of the light series."""
         return (self.frame(photons, self.integration_s, *key, index) for index in range(count))
 
-    def dark_series(self, temperature_k: float | None = None) -> Series:
+    def dark_series(self, temperature_k: float | None = None) -> PairSeries:
         """Dark pairs at each integration time; at higher temperatures the times are shorter, so that the well does not fill."""
         key: tuple[object, ...] = ("dark series",)
         sensor, times = self.sensor, self.dark_times_s

@@ -19,7 +19,7 @@ from pixsim.base.errors import invalid
 from pixsim.base.notes import collected_notes
 from pixsim.base.progress import Stage
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
-from pixsim.optics.field_blur import UM_PER_NM, Light, even_window, fit_wavefronts, periodic_psf
+from pixsim.optics.field_blur import UM_PER_NM, ChannelWavefronts, even_window, fit_wavefronts, periodic_psf
 from pixsim.optics.ghosts import Ghost
 from pixsim.optics.glass import AIR
 from pixsim.optics.lens import FirstOrder, Lens, load_lens
@@ -334,7 +334,7 @@ def point_spreads(lens: Lens, field_deg: Array, wavelength_nm: Array, pitch_um: 
     heights = 1e3 * np.asarray(lens.chief_ray(field_deg, lens.primary_nm).height_mm)
     rays = pupil_rays(lens, field_deg, wavelength_nm)
     fronts = [fit_wavefronts(float(nm), heights, of_nm) for nm, of_nm in zip(wavelength_nm, rays, strict=True)]
-    light = Light(fronts, np.full(len(fronts), 1 / len(fronts)))
+    light = ChannelWavefronts(fronts, np.full(len(fronts), 1 / len(fronts)))
     found = []
     for height in heights:
         window = even_window(light, 0.0, float(height), pitch_um, math.ceil(side_um / pitch_um))

@@ -195,7 +195,7 @@ class EdgeResponse:
         return f"<EdgeResponse {sfr_parts(self.as_dict())[0]}>"
 
 
-class Grid(NamedTuple):
+class ChannelGrid(NamedTuple):
     """Pixels of one channel at one place of the unit cell, which are a grid of their own in the region.
 
     data : (M, K)
@@ -206,15 +206,15 @@ class Grid(NamedTuple):
     row: Array
     x: Array
 
-    def turned(self) -> Grid:
-        return Grid(self.data.T, self.x, self.row)
+    def turned(self) -> ChannelGrid:
+        return ChannelGrid(self.data.T, self.x, self.row)
 
 
-class Part(NamedTuple):
+class WeightedChannel(NamedTuple):
     """Grids of one channel, and the weight of the channel in what is measured."""
 
     weight: float
-    grids: list[Grid]
+    grids: list[ChannelGrid]
 
 
 @checks_arguments
@@ -263,7 +263,7 @@ def edge_response(
         check_saturation(np.concatenate([grid.data.ravel() for part in parts for grid in part.grids]), saturation)
     turned = is_turned(parts)
     if turned:
-        parts = [Part(part.weight, [grid.turned() for grid in part.grids]) for part in parts]
+        parts = [WeightedChannel(part.weight, [grid.turned() for grid in part.grids]) for part in parts]
         period = period[::-1]
     if name is None:
         check_mosaic(parts[0].grids[0].data)
@@ -274,7 +274,7 @@ def edge_response(
     grids = [grid for part in parts for grid in part.grids]
     intercept, slope = fit_edge(grids, np.sign(contrast), period[1])
     rows, half_px = rows_and_window(grids, intercept, slope, half_window_px, period[1])
-    parts = [Part(weight, [within(grid, rows) for grid in own]) for weight, own in parts]
+    parts = [WeightedChannel(weight, [within(grid, rows) for grid in own]) for weight, own in parts]
     for bins_a_pixel in bins_of(period[1]):
         binned = [edge_spread(part.grids, intercept, slope, half_px, bins_a_pixel) for part in parts]
         if all((one.pixels > 0).all() for one in binned):
@@ -323,7 +323,7 @@ def check_saturation(data: Array, saturation: float) -> None:
 
 def parts_of(
     picture: ArrayLike, region: Sequence[int] | None, layout: str | None, channel: str | None
-) -> tuple[list[Part], tuple[int, int], str | None]:
+) -> tuple[list[WeightedChannel], tuple[int, int], str | None]:
     """The pixels to measure, the rows and columns after which they repeat, and the name of their channel, if any.
 
     Raises PixsimError if the region is none of the picture, if the layout is not of it, or for an unknown channel.
@@ -340,37 +340,37 @@ def parts_of(
             raise invalid("layout", f"{layout} for a picture of shape {whole.shape}", f"rows that {known.planes} planes divide")
         planes = dict(zip(known.channels, np.split(whole, known.planes), strict=True))
         wanted = named_channels(known, channel)
-        return [Part(weight, [grid_of(cropped(planes[letter], region))]) for letter, weight in wanted], (1, 1), channel
+        return [WeightedChannel(weight, [grid_of(cropped(planes[letter], region))]) for letter, weight in wanted], (1, 1), channel
     data = cropped(whole, region)
     if channel is None and (known is None or len(known.channels) == 1):
-        return [Part(1.0, [grid_of(data)])], (1, 1), None
+        return [WeightedChannel(1.0, [grid_of(data)])], (1, 1), None
     period = (2, 2) if known is None else known.period
     if min(data.shape) < MIN_SIDE_PX * max(period):
         got = f"{data.shape[1]} × {data.shape[0]} pixels"
         raise invalid("edge picture", got, f"at least {MIN_SIDE_PX * max(period)} a side, for one channel of a mosaic")
     x0, y0 = (region[0], region[1]) if region is not None else (0, 0)
 
-    def grids(places: list[tuple[int, int]]) -> list[Grid]:
+    def grids(places: list[tuple[int, int]]) -> list[ChannelGrid]:
         return [grid_of(data, ((row - y0) % period[0], (column - x0) % period[1]), period) for row, column in places]
 
     if channel is not None and (place := re.fullmatch(r"(\d+),(\d+)", channel)):
         row, column = int(place[1]), int(place[2])
         if row >= period[0] or column >= period[1]:
             raise invalid("channel", channel, f"a row,column from 0,0 to {period[0] - 1},{period[1] - 1}")
-        return [Part(1.0, grids([(row, column)]))], period, channel
+        return [WeightedChannel(1.0, grids([(row, column)]))], period, channel
     if known is None:
-        return [Part(1.0, grids(green_places(data, channel or "", (y0, x0))))], period, channel
+        return [WeightedChannel(1.0, grids(green_places(data, channel or "", (y0, x0))))], period, channel
     cell = [(row, column, letter) for row, line in enumerate(known.cell) for column, letter in enumerate(line)]
     return [
-        Part(weight, grids([(row, column) for row, column, letter in cell if letter == wanted]))
+        WeightedChannel(weight, grids([(row, column) for row, column, letter in cell if letter == wanted]))
         for wanted, weight in named_channels(known, channel)
     ], period, channel  # fmt: skip
 
 
-def grid_of(data: Array, place: tuple[int, int] = (0, 0), period: tuple[int, int] = (1, 1)) -> Grid:
+def grid_of(data: Array, place: tuple[int, int] = (0, 0), period: tuple[int, int] = (1, 1)) -> ChannelGrid:
     """The pixels at one place (row, column) of the unit cells of a picture."""
     row, x = (np.arange(start, side, step, dtype=float) for start, side, step in zip(place, data.shape, period, strict=True))
-    return Grid(data[place[0] :: period[0], place[1] :: period[1]], row, x)
+    return ChannelGrid(data[place[0] :: period[0], place[1] :: period[1]], row, x)
 
 
 def named_channels(layout: Layout, channel: str | None) -> list[tuple[str, float]]:
@@ -423,7 +423,7 @@ def green_places(data: Array, channel: str, start: tuple[int, int]) -> list[tupl
     return list(alike)
 
 
-def nyquist_of(grids: Sequence[Grid], period: tuple[int, int]) -> float:
+def nyquist_of(grids: Sequence[ChannelGrid], period: tuple[int, int]) -> float:
     """Nyquist frequency of the grids' pixels across the edge (cy/px), along the rows: half way to the nearest of their replicas.
 
     Of a replica at the frequency (u, v) the half-way plane cuts the rows' axis at (u² + v²)/(2 u): for green of Bayer's mosaic at
@@ -467,25 +467,25 @@ def cropped(picture: ArrayLike, region: Sequence[int] | None) -> Array:
     return data
 
 
-def is_turned(parts: Sequence[Part]) -> bool:
+def is_turned(parts: Sequence[WeightedChannel]) -> bool:
     """Whether the edge runs along the rows."""
     steps = [abs(sum(part.weight * step_of(part.grids, axis) for part in parts)) for axis in (0, 1)]
     return bool(steps[1] < steps[0])
 
 
-def step_of(grids: Sequence[Grid], axis: int) -> float:
+def step_of(grids: Sequence[ChannelGrid], axis: int) -> float:
     """Mean of the last quarter less that of the first, along an axis."""
     low, high = sides_of(grids, axis)
     return high - low
 
 
-def sides_of(grids: Sequence[Grid], axis: int = 1) -> tuple[float, float]:
+def sides_of(grids: Sequence[ChannelGrid], axis: int = 1) -> tuple[float, float]:
     """Means of the first and of the last quarter of the columns (axis 1), or of the rows."""
     sides = np.array([outer_quarters(grid.data.T if axis else grid.data) for grid in grids]).mean(axis=0)
     return float(sides[0]), float(sides[1])
 
 
-def contrast_of(parts: Sequence[Part]) -> float:
+def contrast_of(parts: Sequence[WeightedChannel]) -> float:
     """Michelson contrast of a near-vertical edge, negative if bright on the left.
 
     Raises PixsimError if it is too low in itself or for the noise.
@@ -518,14 +518,14 @@ def outer_quarters(data: Array) -> tuple[float, float]:
     return float(data[:quarter].mean()), float(data[-quarter:].mean())
 
 
-def balanced(parts: list[Part]) -> list[Part]:
+def balanced(parts: list[WeightedChannel]) -> list[WeightedChannel]:
     """The channels scaled to their weighted mean's levels on both sides of a grey edge; one channel is left as it is."""
     if len(parts) == 1:
         return parts
     sides = [sides_of(part.grids) for part in parts]
     low, high = (sum(part.weight * side[at] for part, side in zip(parts, sides, strict=True)) for at in (0, 1))
     return [
-        Part(weight, [grid._replace(data=low + (grid.data - dark) * ((high - low) / (light - dark))) for grid in grids])
+        WeightedChannel(weight, [grid._replace(data=low + (grid.data - dark) * ((high - low) / (light - dark))) for grid in grids])
         for (weight, grids), (dark, light) in zip(parts, sides, strict=True)
     ]
 
@@ -536,7 +536,7 @@ def sampled(side: Array) -> Array:
     return pairs[:: max(1, -(-side.size // SAMPLED))].reshape(-1, side.shape[1])
 
 
-def check_clipping(grids: Sequence[Grid], is_unclipped: bool) -> None:
+def check_clipping(grids: Sequence[ChannelGrid], is_unclipped: bool) -> None:
     """Raise PixsimError if the bright side is clipped, which its noise shows; warn of a dark side that is.
 
     Light adds noise. So on the bright side no code can hold more pixels than the noise of the dark side would leave in it.
@@ -601,7 +601,7 @@ def check_mosaic(data: Array) -> None:
                 raise invalid("edge picture", got, "one channel", hint)
 
 
-def fit_edge(grids: Sequence[Grid], sign: float, spacing: int) -> tuple[float, float]:
+def fit_edge(grids: Sequence[ChannelGrid], sign: float, spacing: int) -> tuple[float, float]:
     """Intercept and slope (pixels per row) of the edge x = intercept + slope · row, with pixel centres at integers.
 
     The edge of a row is the centroid of its derivative under a Hann window around the current line. The first line goes
@@ -649,7 +649,7 @@ def no_edge(got: str) -> PixsimError:
 
 
 def rows_and_window(
-    grids: Sequence[Grid], intercept: float, slope: float, half_window_px: float, spacing: int
+    grids: Sequence[ChannelGrid], intercept: float, slope: float, half_window_px: float, spacing: int
 ) -> tuple[Array, float]:
     """Rows that contain the whole window, and half of the window along the normal in pixels.
 
@@ -690,10 +690,10 @@ def bins_of(spacing: int) -> list[int]:
     return [bins for bins in (BINS_A_PIXEL, 2, 1) if bins * spacing >= BINS_A_PIXEL]
 
 
-def within(grid: Grid, rows: Array) -> Grid:
+def within(grid: ChannelGrid, rows: Array) -> ChannelGrid:
     """The rows of a grid in a range of rows."""
     inside = (grid.row >= rows[0]) & (grid.row <= rows[-1])
-    return Grid(grid.data[inside], grid.row[inside], grid.x)
+    return ChannelGrid(grid.data[inside], grid.row[inside], grid.x)
 
 
 class Binned(NamedTuple):
@@ -705,7 +705,7 @@ class Binned(NamedTuple):
     variance: Array
 
 
-def edge_spread(grids: Sequence[Grid], intercept: float, slope: float, half_px: float, bins_a_pixel: int) -> Binned:
+def edge_spread(grids: Sequence[ChannelGrid], intercept: float, slope: float, half_px: float, bins_a_pixel: int) -> Binned:
     """Pixels in bins of their distance from the edge, which rises from left to right.
 
     The variance is that of the pixels about the mean course through the bins, pooled over neighbouring bins.
@@ -843,7 +843,7 @@ def warn_of_shading(distance_px: Array, spread: Array, variance: Array) -> None:
         )
 
 
-def warn_of_correlation(grids: Sequence[Grid], intercept: float, slope: float, distance_px: Array, spread: Array) -> None:
+def warn_of_correlation(grids: Sequence[ChannelGrid], intercept: float, slope: float, distance_px: Array, spread: Array) -> None:
     """Warn if the noise of neighbours in a row is correlated, of which the intervals know nothing."""
     half_px = -float(distance_px[0])
     step = float(np.ptp(spread))

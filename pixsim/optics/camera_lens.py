@@ -28,9 +28,9 @@ from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.diffraction import white_otf
 from pixsim.optics.field_blur import (
     RADIAL_STEPS,
+    ChannelWavefronts,
     FieldBlur,
     FittedWavefronts,
-    Light,
     Psf,
     RadialPsfs,
     amid_tiles,
@@ -456,10 +456,10 @@ def traced_wavelengths(camera: Camera, wavelength_nm: Array, weight: Array, coun
 Transfer = Callable[[Array, float], Array] | None
 
 
-def light_of(camera: Camera, wavelength_nm: Array, weight: Array, tiling: Tiling, transfer: Transfer = None) -> Light:
+def light_of(camera: Camera, wavelength_nm: Array, weight: Array, tiling: Tiling, transfer: Transfer = None) -> ChannelWavefronts:
     """Return the wavefronts of light of some bands, with weights of 0 or more, (B,) each."""
     nm, share = traced_wavelengths(camera, wavelength_nm, weight, tiling.wavelengths)
-    return Light(fitted_wavefronts(camera, tuple(nm.tolist()), tiling.nodes), share, transfer)
+    return ChannelWavefronts(fitted_wavefronts(camera, tuple(nm.tolist()), tiling.nodes), share, transfer)
 
 
 def thin_lens_error(camera: Camera, pitch_um: float, wavelength_nm: Array, weight: Array, aperture_um: float) -> float:
@@ -491,7 +491,7 @@ def thin_lens_error(camera: Camera, pitch_um: float, wavelength_nm: Array, weigh
     return error + blur
 
 
-def _cells_together(light: Light, pitch_um: float) -> int:
+def _cells_together(light: ChannelWavefronts, pitch_um: float) -> int:
     """Return how many film cells may be one along a side where errors of a blur are found.
 
     On a film much finer than the lens they all lie at low frequencies, which coarser cells hold too.
@@ -686,7 +686,7 @@ def choose_tiling(
 
 
 def _without_blur(
-    camera: Camera, light: Light, heights_um: Array, share: list[float], pitch_um: float, aperture_um: float
+    camera: Camera, light: ChannelWavefronts, heights_um: Array, share: list[float], pitch_um: float, aperture_um: float
 ) -> Tiling:
     """Return the tiling of a film whose cells are too coarse for waves, with the error of leaving the blur of rays out."""
     along, across = np.fft.fftfreq(COARSE_WINDOW, pitch_um), np.fft.rfftfreq(COARSE_WINDOW, pitch_um)
@@ -720,10 +720,10 @@ def _chosen_tiling(
     share = (np.bincount(nearest.ravel(), minlength=heights_um.size) / nearest.size).tolist()
     places = [(h * width_um / (2 * corner_um), h * height_um / (2 * corner_um)) for h in heights_um.tolist()]
 
-    def traced(count: int) -> Light:
+    def traced(count: int) -> ChannelWavefronts:
         """Return the light with wavefronts at the places, none of them interpolated."""
         nm, part = traced_wavelengths(camera, bands, weights, count)
-        return Light(_wavefronts(camera, tuple(nm.tolist()), 1e-3 * heights_um), part)
+        return ChannelWavefronts(_wavefronts(camera, tuple(nm.tolist()), 1e-3 * heights_um), part)
 
     def at_places(
         transform: Callable[[float, float], NDArray[np.complex128]], which: Sequence[int] = range(len(TRIED))
@@ -736,10 +736,10 @@ def _chosen_tiling(
         in_threads(compute, range(len(which)), WORTH_THREADS)
         return found
 
-    def transforms(light: Light) -> NDArray[np.complex128]:
+    def transforms(light: ChannelWavefronts) -> NDArray[np.complex128]:
         return at_places(lambda x, y: np.fft.rfft2(periodic_psf(light, x, y, grid_um, window)))
 
-    def window_of(light: Light, cells: int) -> int:
+    def window_of(light: ChannelWavefronts, cells: int) -> int:
         return max(even_window(light, x, y, grid_um, cells) for x, y in places)
 
     def error_of(found: NDArray[np.complex128], right: NDArray[np.complex128]) -> float:

@@ -262,7 +262,7 @@ def mean_of_phase(waves: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 @dataclass(frozen=True)
-class Light:
+class ChannelWavefronts:
     """Wavelengths that a channel sees together, by their shares of the electrons.
 
     fronts : of each wavelength
@@ -287,12 +287,12 @@ class Psf:
         return float(1 - self.kernel.sum(dtype=float))
 
 
-def even_window(light: Light, x_um: float, y_um: float, pitch_um: float, cells: int) -> int:
+def even_window(light: ChannelWavefronts, x_um: float, y_um: float, pitch_um: float, cells: int) -> int:
     """Return an even number of cells along a side of a window in which a PSF may repeat: it resolves the pupil."""
     return _even_window(light, [math.hypot(x_um, y_um)], pitch_um, WINDOW * cells)
 
 
-def _even_window(light: Light, heights_um: Iterable[float], pitch_um: float, cells: float) -> int:
+def _even_window(light: ChannelWavefronts, heights_um: Iterable[float], pitch_um: float, cells: float) -> int:
     """Return an even number of cells, at least `cells`, along a window that resolves the pupils of some image points."""
     slowest = min(
         2 * float(front.at(height_um)[:2].min()) / (front.wavelength_nm * UM_PER_NM)
@@ -307,12 +307,12 @@ def _even_window(light: Light, heights_um: Iterable[float], pitch_um: float, cel
     return window
 
 
-def cutoff_per_um(light: Light) -> float:
+def cutoff_per_um(light: ChannelWavefronts) -> float:
     """Return the highest frequency that a lens passes, in cycles/µm."""
     return max(2 * float(front.numbers[:, :2].max()) / (front.wavelength_nm * UM_PER_NM) for front in light.fronts)
 
 
-def most_cells(light: Light, pitch_um: float) -> int:
+def most_cells(light: ChannelWavefronts, pitch_um: float) -> int:
     """Return the odd number of film cells along a side of the largest PSF whose pupil has `MOST_SAMPLES` across; 0 for none.
 
     On a film so coarse that it is 0, diffraction keeps to one cell.
@@ -331,7 +331,7 @@ def of_band(frequency: Array) -> Array:
     return np.asarray((1 - np.sin(np.pi * beyond)) / 2)
 
 
-def periodic_psf(light: Light, x_um: float, y_um: float, pitch_um: float, window: int) -> Array:
+def periodic_psf(light: ChannelWavefronts, x_um: float, y_um: float, pitch_um: float, window: int) -> Array:
     """Return the PSF of an image point on a window of film cells, (window, window), in which it repeats; it adds up to 1.
 
     The chief ray's image point is at cell [0, 0]. The kernel acts on means over cells and gives such means: its transform is the
@@ -593,7 +593,7 @@ def odd_window(cells: int) -> int:
     return window
 
 
-def radial_psfs(light: Light, pitch_um: float, cells: int, step_um: float, farthest_um: float) -> RadialPsfs:
+def radial_psfs(light: ChannelWavefronts, pitch_um: float, cells: int, step_um: float, farthest_um: float) -> RadialPsfs:
     """Return the PSFs from the axis to a distance, which may be cut off to an odd number of cells along a side."""
     count = math.floor(farthest_um / step_um) + 3
     resolving = resolving_um(light)
@@ -625,7 +625,7 @@ def amid_zeros(values: NDArray[np.float32], count: int) -> NDArray[np.float32]:
     return wide
 
 
-def resolving_um(light: Light) -> float:
+def resolving_um(light: ChannelWavefronts) -> float:
     """Return the largest film cells for which radial PSFs have all frequencies that a lens passes, within their own band."""
     return FINER * (1 - BAND_END) / 2 / cutoff_per_um(light)
 

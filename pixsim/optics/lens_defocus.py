@@ -19,7 +19,15 @@ from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import field_angles, groups_of, traced_lens
-from pixsim.optics.field_blur import UM_PER_NM, FittedWavefronts, Light, even_window, fit_wavefronts, periodic_psf, picture_error
+from pixsim.optics.field_blur import (
+    UM_PER_NM,
+    ChannelWavefronts,
+    FittedWavefronts,
+    even_window,
+    fit_wavefronts,
+    periodic_psf,
+    picture_error,
+)
 from pixsim.optics.lens_waves import pupil_rays
 
 FIELDS = (0.0, 0.7, 1.0)  # of the way to the corner of the die, where the blur is compared
@@ -109,10 +117,10 @@ def defocus_error(
     """
     nm, share = _grouped(np.array(wavelength_nm), np.array(weight))
     try:
-        there = Light(wavefronts_at_depth(camera, depth_m, nm), share)
+        there = ChannelWavefronts(wavefronts_at_depth(camera, depth_m, nm), share)
     except PixsimError:
         return math.inf
-    focused = Light(wavefronts_at_depth(camera, camera.object_distance_m, nm), share)
+    focused = ChannelWavefronts(wavefronts_at_depth(camera, camera.object_distance_m, nm), share)
     disc_um = abs(signed_disc_um(camera, depth_m))
     pitch_um = max(aperture_um / 2, disc_um / CELLS_PER_DISC)
     cells = 2 * round((disc_um / pitch_um + BESIDE_DISC) / 2) + 1

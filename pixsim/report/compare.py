@@ -27,6 +27,7 @@ from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.show.document import (
     Answer,
     Block,
+    DeltaEScale,
     Document,
     Fact,
     Link,
@@ -34,7 +35,6 @@ from pixsim.show.document import (
     Map,
     Note,
     Pictures,
-    Scale,
     Section,
     Slider,
     Strong,
@@ -311,7 +311,7 @@ def _sections(result: Comparison, pngs: Mapping[str, bytes], end: float, rows_fi
         Section("", each.name, (Pictures((crops(each.score, window, f"the picture of {each.name}", end),), of),))
         for each in result.sensors
     ]
-    yield Section("detail", "The largest differences, 1:1", (DETAIL, *details, Scale(scale(end))), together=True)
+    yield Section("detail", "The largest differences, 1:1", (DETAIL, *details, DeltaEScale(scale(end))), together=True)
     head = (
         *("sensor", "mean ΔE", "99th percentile", "pixels", "pitch (µm)", "lens", "exposure (ms)", "mean electrons", "full well"),
         *("saturated", "film's error (ΔE)"),

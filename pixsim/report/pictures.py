@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pixsim.show.pictures import Axis, Picture, PictureAxes, Window, delta_e_colours, display_codes
+from pixsim.show.pictures import AxisLabels, Picture, PictureAxes, Window, delta_e_colours, display_codes
 from pixsim.studies.extent import NO_BORDER, Border, csf_contrasts, csf_range_lp_per_mm, extent
 
 if TYPE_CHECKING:
@@ -25,10 +25,12 @@ def picture_axes(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> Pi
     frequencies = csf_range_lp_per_mm(irradiance, border_um)
     if frequencies is None:
         across, down = _even_ticks(left, right), _even_ticks(top, bottom)
-        return PictureAxes(extent_mm, Axis("x on the sensor (mm)", across), Axis("y on the sensor (mm)", down))
+        return PictureAxes(extent_mm, AxisLabels("x on the sensor (mm)", across), AxisLabels("y on the sensor (mm)", down))
     across = _ratio_ticks((left, right), frequencies, (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000))
     down = _ratio_ticks((top, bottom), csf_contrasts(irradiance, border_um), (0.03, 0.1, 0.3))
-    return PictureAxes(extent_mm, Axis("spatial frequency on the sensor (lp/mm)", across), Axis(CONTRAST_LABEL, down), fixed=True)
+    return PictureAxes(
+        extent_mm, AxisLabels("spatial frequency on the sensor (lp/mm)", across), AxisLabels(CONTRAST_LABEL, down), fixed=True
+    )
 
 
 def _ratio_ticks(ends_mm: tuple[float, float], ends: tuple[float, float], inner: Iterable[float]) -> tuple[tuple[float, str], ...]:

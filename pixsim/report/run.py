@@ -22,6 +22,7 @@ from pixsim.sensor.labels import label_of
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.show.document import (
     Answer,
+    DeltaEScale,
     Document,
     Fact,
     Link,
@@ -30,7 +31,6 @@ from pixsim.show.document import (
     Note,
     Pictures,
     Plot,
-    Scale,
     Section,
     Slider,
     Table,
@@ -274,7 +274,7 @@ def _sections(result: RunResult, pictures: Mapping[str, bytes], files: RunFiles)
                 f"The detail with the largest mean ΔE. Its centre is at x = {x_mm:.3g} mm, y = {y_mm:.3g} mm on the sensor, from "
                 "the upper left.",
                 Pictures((crops(score, window, "the sensor's picture", end),), "the detail with the largest errors"),
-                Scale(scale(end)),
+                DeltaEScale(scale(end)),
             ),
             together=True,
         ),

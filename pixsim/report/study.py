@@ -22,18 +22,18 @@ from pixsim.report.wording import DELTA_E, blur_words, budget_section, compromis
 from pixsim.sensor.labels import file_label, labels_of
 from pixsim.show.document import (
     Block,
+    DeltaEScale,
     Document,
     Fact,
     Link,
     Note,
     Pictures,
     Plot,
-    Scale,
     Section,
     Slider,
     Table,
     Tiles,
-    Verdict,
+    VerdictText,
     headline,
     made_with,
     pairs,
@@ -183,7 +183,7 @@ FIGURE_NUMBERS = {"delta_e_against_pitch": 7, "delta_e_against_pitch_all": 8, "o
 HEADINGS = {"curves": ("curves", "more"), "maps": ("pictures",), "paper": ("paper's scene", "paper's maps")}
 
 
-class Group(NamedTuple):
+class FigureGroup(NamedTuple):
     """Figures drawn together: curves, pictures (of one technology), more, or those of the paper (its scene, its maps)."""
 
     number: int
@@ -195,8 +195,8 @@ class Group(NamedTuple):
 
 
 def draw_section(
-    section: Group, result: StudyResult, figures: Figures = "svg"
-) -> tuple[Group, list[Drawn], Views | None, list[Finding]]:
+    section: FigureGroup, result: StudyResult, figures: Figures = "svg"
+) -> tuple[FigureGroup, list[Drawn], Views | None, list[Finding]]:
     """Return a group, its figures, its pictures, and its statements of the paper."""
     by_name = {curve.technology: curve for curve in result.curves}
     first = by_name.get(REFERENCE_TECHNOLOGY, result.curves[0])
@@ -346,7 +346,7 @@ def study_page(
     pictures = [("pictures", curve.technology) for curve in result.curves if curve.has_delta_e]
     kinds = [("curves", ""), *pictures, ("more", "")]
     kinds += [("paper's scene", ""), ("paper's maps", "")] if study.paper else []
-    longest_first = reversed([Group(number, kind, technology) for number, (kind, technology) in enumerate(kinds)])
+    longest_first = reversed([FigureGroup(number, kind, technology) for number, (kind, technology) in enumerate(kinds)])
 
     def shared() -> StudyResult:  # one function for all calls, so that workers share the result
         return result
@@ -411,7 +411,7 @@ def _pictures(result: StudyResult, views: Sequence[Views]) -> Iterator[Block]:
         place = f"{chosen}. Its centre is at {across} of the picture's width and {down} of its height, from the upper left."
         of, label = f"detail in {view.label}", capital(view.label)
         yield Section("", f"{label}: the same detail for every pixel size", [place, Tiles(view.tiles, of)])
-        errors = Pictures(view.crops, of), Scale(scale(map_end(result)))
+        errors = Pictures(view.crops, of), DeltaEScale(scale(map_end(result)))
         yield Section("", f"{label}: errors in that detail", errors, together=True)
         heading = "Pixel size to compare with the ideal image:"
         slider = Slider(f"slider-{number}", heading, view.ideal, view.outputs)
@@ -460,9 +460,9 @@ def _paper(result: StudyResult, rows: Sequence[Finding]) -> list[Block]:
     return [PAPER, response_note(result.study), table, more] if rows else []
 
 
-def agrees(whether: bool) -> tuple[Verdict]:
+def agrees(whether: bool) -> tuple[VerdictText]:
     """Return whether a result agrees with a statement, for a cell of a table."""
-    return (Verdict("yes" if whether else "does not agree", whether),)
+    return (VerdictText("yes" if whether else "does not agree", whether),)
 
 
 def _metric_columns(curve: Curve) -> Iterator[tuple[str, list[str]]]:

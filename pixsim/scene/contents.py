@@ -21,7 +21,7 @@ from pixsim.light.spectral import HIGH_NM, LOW_NM, VISIBLE, WHITE_LAMPS, Span, S
 from pixsim.optics.camera import Camera
 from pixsim.scene.mitsuba import evaluate_reflection, evaluate_spectrum
 from pixsim.scene.textures import EIGHT_BIT, check_share
-from pixsim.scene.tree import Node, Table, Tree, children, nodes_of, plain
+from pixsim.scene.tree import Node, SpectrumTable, Tree, children, nodes_of, plain
 
 # The property with the spectrum of each stock emitter.
 EMISSION = dict.fromkeys(("area", "constant", "directionalarea"), "radiance")
@@ -139,7 +139,7 @@ def numbers(text: object) -> list[float]:
     return [float(number) for number in str(text).strip("[]").replace(",", " ").split()]
 
 
-def parsed_table(value: Table) -> Spectrum:
+def parsed_table(value: SpectrumTable) -> Spectrum:
     """Return a spectrum that the parser stores as a table."""
     return Spectrum(np.array(value.wavelengths, float), np.array(value.values, float))
 
@@ -410,7 +410,7 @@ def _property(state: Tree, at: int, name: str, variant: str, ends: Ends, words: 
     return None
 
 
-def _spectrum_dict(table: Table) -> dict[str, Any]:
+def _spectrum_dict(table: SpectrumTable) -> dict[str, Any]:
     """Return the plugin description of a spectrum that the parser stores."""
     if table.uniform:
         return {"type": "uniform", "value": float(table.values[0])}
@@ -424,7 +424,7 @@ def _metal(state: Tree, node: Node, variant: str, span: Span) -> list[Array] | N
     values, textures = dict(plain(node)), children(node, state)
     for key in ("material", "eta", "k"):
         if key in values:
-            described[key] = _spectrum_dict(values[key]) if isinstance(values[key], Table) else values[key]
+            described[key] = _spectrum_dict(values[key]) if isinstance(values[key], SpectrumTable) else values[key]
         elif key in textures:
             texture = state.nodes[textures[key]]
             if texture.plugin not in ("uniform", "regular", "irregular"):

@@ -86,7 +86,7 @@ class Passes:
 
 
 @dataclass(frozen=True)
-class Job:
+class TraceJob:
     """A scene to trace, under one group of lamps after another.
 
     text : inspected XML

@@ -64,7 +64,7 @@ RESPONSES = ("0.35um", "4t-bsi")  # technologies with the two packaged response 
 
 
 @dataclass(frozen=True)
-class Light:
+class FittedLamp:
     """Lamps of one spectrum, and the pulses that measure their light at the lens."""
 
     lamp: Lamp
@@ -104,7 +104,7 @@ class Plan:
     held : (node, property, spectrum) of tables of surfaces that go on beyond their ends, as `beyond_tables = "hold"` has it
     """
 
-    lights: tuple[Light, ...]
+    lights: tuple[FittedLamp, ...]
     bands: Bands
     white_cd_per_m2: Luminance | None
     lens: Literal["thinlens", "perspective"]
@@ -464,7 +464,7 @@ def _lights(
     full: bool,
     band_count: int | None,
     in_colour: bool,
-) -> tuple[list[Light], Bands, int, list[Decision]]:
+) -> tuple[list[FittedLamp], Bands, int, list[Decision]]:
     """Return the pulses of each lamp, the bands, the number of passes without leaving out any band, and the reasons."""
     spectra = [lamp.spectrum for lamp in lamps if lamp.spectrum]
     met = surfaces.products(bounces) if bounces else surfaces.products(1)[:0]
@@ -484,7 +484,7 @@ def _lights(
             alone = max(alone, float(np.abs(errors.sum(axis=2)).max()))
             if known and not full:
                 fitted = spectral_bands.fit(lamp.spectrum, bands, met, witnesses, tolerance_e * SPECTRUM_SHARE, stiffness)
-        lights.append(Light(lamp, fitted or every))
+        lights.append(FittedLamp(lamp, fitted or every))
         count = len(lights[-1].fit.pulses)
         reasons.append(f"{count} pulse{'s' * (count > 1)}" if fitted else f"{count} bands")
     widths = bands.width_nm

@@ -31,7 +31,7 @@ from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.scene.bands import Fit, Pulse
 from pixsim.scene.contents import named_files
 from pixsim.scene.guard.tracer import Tracer, tracer_of
-from pixsim.scene.job import Job, Lamps, Passes, irregular, regular
+from pixsim.scene.job import Lamps, Passes, TraceJob, irregular, regular
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.rules import SAMPLE_COUNTS, irregular_tables
 from pixsim.scene.scene import Scene, check_resolution, hash_of_tree, is_packaged, sensor_node
@@ -129,7 +129,7 @@ LEVEL_STRIDE = 1000003
 LEVEL_FACTOR = 4  # keeps sample counts for which the result is the same bit for bit on any number of threads
 
 
-class Part(NamedTuple):
+class FilmRows(NamedTuple):
     """Rows of a film, the pulses whose pictures a trace gives, and the trace of a seed: (rows, columns, pulses)."""
 
     rows: slice
@@ -142,7 +142,7 @@ class Work(NamedTuple):
 
     renders: int
     spp: int
-    parts: list[Part]
+    parts: list[FilmRows]
 
 
 @checks_arguments
@@ -222,7 +222,9 @@ class Renderer:
         tables += tuple((index, name, irregular(table.nodes_nm, table.values)) for index, name, table in plan.held)
         passes = tuple(passes_of(light.fit, plan.bands.span) for light in plan.lights)
         files = tuple(digest_of(path) for path in named_files(state))
-        self.job = Job(scene.choice.variant, text.text, lamps, sensor, lens, plan.integrator, tables, self.field, passes, files)
+        self.job = TraceJob(
+            scene.choice.variant, text.text, lamps, sensor, lens, plan.integrator, tables, self.field, passes, files
+        )
         self.packaged, self.ends_at_s = is_packaged(text), ends_at_s
         self.cache = CachedRenders(hash_of_job(scene, state, camera, plan, seed)) if keep else None
         self.begun = False  # whether there is a run of the variant
@@ -231,7 +233,7 @@ class Renderer:
     def tracer(self) -> Tracer:
         return self.traced(self.job)
 
-    def traced(self, job: Job) -> Tracer:
+    def traced(self, job: TraceJob) -> Tracer:
         """Return what traces a job: this process if the scene is packaged and has all the time.
 
         Else it is a child, which can be killed, and which a failing card may end too.
@@ -329,19 +331,19 @@ class Renderer:
         # Scalar variants have no kernels that passes could share.
         together = self.job.passes[scene] is not None and not self.job.variant.startswith("scalar")
         samples, most = (spp * len(light.fit.passes), SAMPLES_TOGETHER) if together else (spp, SAMPLES_PER_KERNEL)
-        parts: list[Part] = []
+        parts: list[FilmRows] = []
         strips_of_film = [slice(*borders) for borders in pairwise(self._strip_borders(samples, most))]
         if together:
             pulses = list(range(len(light.fit.pulses)))
             for rows in strips_of_film:
                 trace = partial(self.tracer.trace_together, scene, (rows.start, rows.stop), sampler, spp)
-                parts.append(Part(rows, pulses, trace))
+                parts.append(FilmRows(rows, pulses, trace))
             return Work(renders, renders * spp, parts)
         for channels in light.fit.passes:
             responses = [film_response(light.fit.pulses[pulse]) for pulse in channels]
             for rows in strips_of_film:
                 crop = film(responses, self.field, rows.start, rows.stop)
-                parts.append(Part(rows, channels, partial(self.tracer.trace, scene, crop, sampler, spp)))
+                parts.append(FilmRows(rows, channels, partial(self.tracer.trace, scene, crop, sampler, spp)))
         return Work(renders, renders * spp, parts)
 
     def _exact(self) -> Pictures:

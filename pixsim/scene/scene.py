@@ -31,7 +31,7 @@ from pixsim.scene.illuminance import ILLUMINANCE, strength
 from pixsim.scene.own_chart import LINEAR_SUFFIXES, SUFFIXES, OwnChart, is_own_chart
 from pixsim.scene.packaged import packaged_scenes
 from pixsim.scene.target import Target
-from pixsim.scene.tree import Node, Table, Tree, children, nodes_of, parse_tree, plain
+from pixsim.scene.tree import Node, SpectrumTable, Tree, children, nodes_of, parse_tree, plain
 from pixsim.scene.variants import variant as variants
 from pixsim.viewer.display_options import Luminance
 from pixsim.viewer.setting import Run
@@ -74,7 +74,7 @@ class Scene:
     parameters: dict[str, str]
     names: frozenset[str]
     sensor_id: str | None
-    choice: variants.Choice
+    choice: variants.ChosenVariant
     white_cd_per_m2: Luminance | None = None
     white_lamps: tuple[str, ...] = ()
     own_chart: OwnChart | None = None
@@ -613,7 +613,7 @@ def hash_of_tree(state: Tree) -> str:
 def in_full(value: object) -> str:
     """Return a property with all its digits."""
     match value:
-        case Table():
+        case SpectrumTable():
             return f"{value.wavelengths} {value.values}"
         case np.ndarray():
             return str(value.tolist())

@@ -26,7 +26,7 @@ MAX_SMALL, SMALL_TREES = 1 << 16, 32  # characters of a scene whose tree stays i
 
 
 @dataclass(frozen=True)
-class Table:
+class SpectrumTable:
     """A spectrum as a table.
 
     uniform : whether it has one value for all wavelengths
@@ -155,7 +155,11 @@ def _plain(kind: str, value: Any) -> Any:
         case "Vector" | "Color":
             return _fixed(value)
         case "Spectrum":
-            return Table(**value) if is_json else Table(list(value.wavelengths), list(value.values), value.is_uniform())
+            return (
+                SpectrumTable(**value)
+                if is_json
+                else SpectrumTable(list(value.wavelengths), list(value.values), value.is_uniform())
+            )
         case "Reference":
             return value if is_json else value.id()
         case "ResolvedReference":
@@ -172,7 +176,7 @@ def _fixed(numbers: ArrayLike) -> Array:
 
 def _to_json(tree: Tree) -> dict[str, Any]:
     def written(value: object) -> object:
-        return value.tolist() if isinstance(value, np.ndarray) else vars(value) if isinstance(value, Table) else value
+        return value.tolist() if isinstance(value, np.ndarray) else vars(value) if isinstance(value, SpectrumTable) else value
 
     nodes = []
     for node in tree.nodes:

@@ -1,17 +1,19 @@
 """The sources of noise of a pixel, each once: how large it is, what it grows with, and which pixels share its values.
 
-What draws noise, what states its variance and what lists it goes through `SOURCES`, so that a new source is one line there. Shot
-noise is none of them: it is the Poisson law of light and dark charge.
+What draws noise, what states its variance and what lists it goes through `SOURCES`. A new source is one line there if it is as
+large in light as in the dark; a fixed pattern that grows with charge needs a map of its own beside its line. Shot noise is none of
+them: it is the Poisson law of light and dark charge, and the only temporal noise that grows with it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from pixsim.base.arrays import Array
+from pixsim.base.errors import invalid
 from pixsim.sensor.technology import number_of
 
 if TYPE_CHECKING:
@@ -30,6 +32,10 @@ class NoiseSource:
     along : who shares a value: no two pixels; the pixels of a row, of temporal noise; or those of a column, of a fixed pattern
     grows_with : 'light' or 'dark' charge; empty: with neither
     is_rare : whether few sensors have it, so that lists leave it out where it is 0
+    drawn_from : of a pattern that grows, numbers of `PixelPhysics` from which `sample_sensor` draws its map, with the values that
+        they have without it
+
+    Raises PixsimError for a source that would stand in lists and closed forms, but in no frame.
     """
 
     name: str
@@ -38,6 +44,26 @@ class NoiseSource:
     along: Along = "pixel"
     grows_with: Literal["", "light", "dark"] = ""
     is_rare: bool = False
+    drawn_from: Mapping[str, Any] = field(default_factory=dict, compare=False)
+
+    def __post_init__(self) -> None:
+        kind = "temporal noise" if self.is_temporal else "a fixed pattern"
+        lines: Along = "row" if self.is_temporal else "column"
+        where = f"the noise source '{self.name}'"
+        if self.along not in ("pixel", lines):
+            allowed = f"{kind} of single pixels or along each {lines}"
+            raise invalid(where, f"{kind} along each {self.along}", allowed, "pixsim/sensor/readout.py draws no other.")
+        if not self.grows_with:
+            return
+        got = f"{kind} that grows with {self.grows_with} charge"
+        if self.is_temporal or self.along != "pixel":
+            allowed = "temporal noise that does not grow, or a fixed pattern of single pixels"
+            raise invalid(where, got, allowed, "docs/first_change.md lists what such a noise changes beside its line.")
+        if not self.drawn_from:
+            hint = (
+                "State in drawn_from the numbers of PixelPhysics from which sample_sensor (pixsim/sensor/readout.py) draws its map."
+            )
+            raise invalid(where, f"{got}, without a map", "one with a map", hint)
 
     def of_frame(self, physics: PixelPhysics) -> float:
         """Return the deviation in a frame, which may be the sum of several exposures.
@@ -57,8 +83,8 @@ SOURCES = (
     NoiseSource(
         "row noise", lambda p: number_of(p.pixel, p.technology, "row_noise_e"), is_temporal=True, along="row", is_rare=True
     ),
-    NoiseSource("PRNU", lambda p: p.prnu, grows_with="light"),
-    NoiseSource("DSNU", lambda p: p.dark_spread.deviation, grows_with="dark"),
+    NoiseSource("PRNU", lambda p: p.prnu, grows_with="light", drawn_from={"prnu": 0.0}),
+    NoiseSource("DSNU", lambda p: p.dark_spread.deviation, grows_with="dark", drawn_from={"dsnu": 0.0, "hot_pixel_fraction": 0.0}),
     NoiseSource("offset FPN", lambda p: p.offset_fpn_e),
     NoiseSource("column FPN", lambda p: p.column_fpn_e, along="column"),
 )
@@ -113,13 +139,10 @@ def variances_e2(physics: PixelPhysics, *, light_e: Array | float = 0.0, dark_e:
     return {name: variance_e2(only, light_e=light_e, dark_e=dark_e) for name, only in alone.items()}
 
 
-# Sources whose map of a sensor is drawn from numbers of the pixel, with the values that they have without them.
-DRAWN_FROM: dict[str, dict[str, Any]] = {"PRNU": {"prnu": 0.0}, "DSNU": {"dsnu": 0.0, "hot_pixel_fraction": 0.0}}
-
-
 def without_source(physics: PixelPhysics, name: str) -> PixelPhysics:
     """Return a pixel without one of its `SOURCES`, by its name; all others are drawn as before, but for their random numbers."""
-    return replace(physics, silent=(*physics.silent, name), **DRAWN_FROM.get(name, {}))
+    (source,) = (each for each in SOURCES if each.name == name)
+    return replace(physics, silent=(*physics.silent, name), **source.drawn_from)
 
 
 def signal_at_snr_e(wanted: float, dark_variance_e2: float, gain_spread: float) -> float:

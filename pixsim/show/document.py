@@ -34,18 +34,18 @@ class Link:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class VerdictText:
     """Words in the colour of what is as it should be, or of what is not."""
 
     text: str
     good: bool
 
 
-Text: TypeAlias = str | tuple[str | Strong | Link | Verdict, ...]
+Text: TypeAlias = str | tuple[str | Strong | Link | VerdictText, ...]
 
 
 @dataclass(frozen=True)
-class Record:
+class DocumentRecord:
     """A record that keeps what it is given in lists and iterators as tuples, and a text alone as the only one."""
 
     def __post_init__(self) -> None:
@@ -56,7 +56,7 @@ class Record:
 
 
 @dataclass(frozen=True)
-class Answer(Record):
+class Answer(DocumentRecord):
     """A headline, and facts that belong to it, in smaller letters.
 
     named : whether the headline begins with a name of the user's, whose first letter a page leaves small
@@ -82,14 +82,14 @@ class Note:
 
 
 @dataclass(frozen=True)
-class Listed(Record):
+class Listed(DocumentRecord):
     """A list; in a terminal, lines that are set off."""
 
     items: Iterable[Text]
 
 
 @dataclass(frozen=True)
-class Table(Record):
+class Table(DocumentRecord):
     """Rows of text; the first column names them.
 
     A row of one cell is the heading of those below it. The last cell of another short row takes the columns that are left.
@@ -161,7 +161,7 @@ class Tiles:
 
 
 @dataclass(frozen=True)
-class Scale:
+class DeltaEScale:
     """The colour scale of the ΔE maps."""
 
     picture: Picture
@@ -192,7 +192,7 @@ class Slider:
 
 
 @dataclass(frozen=True)
-class Section(Record):
+class Section(DocumentRecord):
     """Blocks under a heading; without any, it is not shown.
 
     id : of its place in the page; may be empty below another section
@@ -209,11 +209,13 @@ class Section(Record):
     brief: bool = False
 
 
-Block: TypeAlias = Text | Answer | Fact | Note | Listed | Table | Beside | Plot | Pictures | Tiles | Scale | Map | Slider | Section
+Block: TypeAlias = (
+    Text | Answer | Fact | Note | Listed | Table | Beside | Plot | Pictures | Tiles | DeltaEScale | Map | Slider | Section
+)
 
 
 @dataclass(frozen=True)
-class Document(Record):
+class Document(DocumentRecord):
     """What a command answers.
 
     command : that gives such a document
@@ -286,7 +288,7 @@ def plain_text(text: Text) -> str:
 
 def joined(parts: Iterable[Text], between: str = "; ") -> Text:
     """Return parts as one text."""
-    words: list[str | Strong | Link | Verdict] = []
+    words: list[str | Strong | Link | VerdictText] = []
     for part in parts:
         words += ([between] if words else []) + ([part] if isinstance(part, str) else list(part))
     return "".join(map(str, words)) if all(isinstance(word, str) for word in words) else tuple(words)

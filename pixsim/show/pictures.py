@@ -35,7 +35,7 @@ BLACK, WHITE = (0, 0, 0), (255, 255, 255)
 
 
 @dataclass(frozen=True)
-class Axis:
+class AxisLabels:
     """Label and ticks along a side of a picture; a tick is (mm on the sensor, text)."""
 
     label: str
@@ -52,8 +52,8 @@ class PictureAxes:
     """
 
     extent_mm: tuple[float, float, float, float]
-    across: Axis
-    down: Axis
+    across: AxisLabels
+    down: AxisLabels
     fixed: bool = False
 
 

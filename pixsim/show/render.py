@@ -30,7 +30,7 @@ from pixsim.show.document import (
     Strong,
     Table,
     Text,
-    Verdict,
+    VerdictText,
     joined,
     plain_text,
 )
@@ -157,7 +157,7 @@ def _marked(text: Text) -> Markup:
     """Return words as HTML."""
     from markupsafe import Markup, escape
 
-    def html_of(part: str | Strong | Link | Verdict) -> Markup:
+    def html_of(part: str | Strong | Link | VerdictText) -> Markup:
         words = part if isinstance(part, str) else part.text
         marked = Markup(CODE.sub(r"<code>\1</code>", str(escape(words))))
         match part:
@@ -166,7 +166,7 @@ def _marked(text: Text) -> Markup:
                 return Markup(f"<b{kind}>{marked}</b>")
             case Link():
                 return Markup('<a href="{}">{}</a>').format(quote(part.address), marked)
-            case Verdict():
+            case VerdictText():
                 return Markup('<span class="{}">{}</span>').format("yes" if part.good else "no", marked)
         return marked
 

@@ -66,7 +66,7 @@ from pixsim.studies.sampling import imaging_of, largest_pixel_um
 from pixsim.studies.study_settings import Study
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.score import ImagingChain, SceneCache, Seen, white_header
+from pixsim.viewer.score import ImagingChain, SceneCache, SeenPicture, white_header
 from pixsim.viewer.setting import Run
 
 SCAN_PITCHES = 9  # of the coarse search for the optimum
@@ -385,7 +385,7 @@ def _measure(scene: Scene, camera: Camera, plan: Plan, design: ProbeDesign) -> C
     image = job.image([(one + other) / 2 for one, other in zip(*both, strict=True)], 2 * spp)
     parts = [job.image(half, spp) for half in (first, second)]
     with without_warnings():  # the run itself warns of it
-        white = white_header([Seen(image, camera, design.imaging.physics, design.imaging.border_um)], design.imaging.display)
+        white = white_header([SeenPicture(image, camera, design.imaging.physics, design.imaging.border_um)], design.imaging.display)
     for picture in (image, *parts):
         picture.header |= white
     design = design.around(pitches_around_optimum_um(image, design, PITCHES))

@@ -48,7 +48,7 @@ from pixsim.viewer.develop_options import of_python
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.metric_registry import names_of
 from pixsim.viewer.metrics import DELTA_E
-from pixsim.viewer.score import PreparedScene, SceneCache, Score, Seen, dark_clip, warn_of_clipping, white_header
+from pixsim.viewer.score import PreparedScene, SceneCache, Score, SeenPicture, dark_clip, warn_of_clipping, white_header
 from pixsim.viewer.setting import Run
 
 
@@ -254,7 +254,7 @@ def lights_on_one_film(lineup: Lineup, stage: Stage) -> list[tuple[Light, Plan]]
         else:
             images = [light.image for light, _ in lights]
             seen = [
-                Seen(image, each.camera, derive(each.settings.pixel), lineup.border_um(each.camera))
+                SeenPicture(image, each.camera, derive(each.settings.pixel), lineup.border_um(each.camera))
                 for each, image in zip(lineup.cases, images, strict=True)
             ]
             white = white_header(seen, lineup.settings.display)

@@ -161,7 +161,7 @@ Place = tuple[slice, slice]
 
 
 @dataclass(frozen=True)
-class Part:
+class PicturePart:
     """Some rows and columns of a picture, without light from beyond them, and a display that shows them at the picture's scale.
 
     chart : that the whole picture shows, whose means over other samples are known; None for other pictures
@@ -191,7 +191,7 @@ def _times(side: slice, factor: int) -> slice:
     return slice(side.start * factor, side.stop * factor)
 
 
-def finer_parts(image: SpectralImage, pitch_um: float, display: Display, chart: Chart | None) -> list[Part]:
+def finer_parts(image: SpectralImage, pitch_um: float, display: Display, chart: Chart | None) -> list[PicturePart]:
     """Return the parts of a picture that are measured on the films `FINER`.
 
     There are fewer where pixels or dots are large, and none where they have tens of samples across, which show nothing of them.
@@ -202,7 +202,7 @@ def finer_parts(image: SpectralImage, pitch_um: float, display: Display, chart: 
     (height, width), places = image.shape, measured_places(image, pitch_um, display, MEASURED_FINER)
     whole = [(slice(0, height // BLOCK * BLOCK), slice(0, width // BLOCK * BLOCK))]
     parts = [
-        Part(image.with_planes(image.planes[:, rows, columns]), display_of(display, columns, width), (rows, columns), known)
+        PicturePart(image.with_planes(image.planes[:, rows, columns]), display_of(display, columns, width), (rows, columns), known)
         for rows, columns in places or whole
     ]
     for step in SPREAD_STEPS:

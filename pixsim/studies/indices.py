@@ -79,7 +79,7 @@ class Index:
 
 
 @dataclass(frozen=True)
-class FirstOrder:
+class FirstOrderIndices:
     """First-order indices of a result.
 
     indices : input -> share of the variance; empty if they are withheld
@@ -230,7 +230,7 @@ def q2_of(left_out: Array, y: Array) -> float:
 
 
 @checks_arguments
-def first_order(quantiles: Array, values: Array, marginals: Mapping[str, Marginal], seed: Whole = 0) -> FirstOrder:
+def first_order(quantiles: Array, values: Array, marginals: Mapping[str, Marginal], seed: Whole = 0) -> FirstOrderIndices:
     """Return the first-order indices of a result from a surrogate, withheld if it predicts left-out points badly.
 
     quantiles : (n, k) of the inputs, between 0 and 1, independent
@@ -250,7 +250,7 @@ def first_order(quantiles: Array, values: Array, marginals: Mapping[str, Margina
     if not (np.isfinite(values).all() and (quantiles > 0).all() and (quantiles < 1).all()):
         raise invalid("values and quantiles", "some out of range", "finite values, and quantiles above 0 and below 1")
     if np.ptp(values[:MOST_OF_PROCESS]) <= NEGLIGIBLE * np.abs(values).max():
-        return FirstOrder(withheld="it does not vary")
+        return FirstOrderIndices(withheld="it does not vary")
     kinds = list(marginals.values())
     x = np.column_stack([each.coordinate(column) for each, column in zip(kinds, quantiles.T, strict=True)])
     fitted: list[Surrogate] = [Process(x, kinds, values)]
@@ -260,7 +260,7 @@ def first_order(quantiles: Array, values: Array, marginals: Mapping[str, Margina
     q2 = round(best.q2, DIGITS)
     if q2 < LEAST_Q2:
         why = f"the {best.name}, the better surrogate of {values.size} points, has Q² = {q2:.2f}; shares need {LEAST_Q2:g}"
-        return FirstOrder({}, best.name, q2, why)
+        return FirstOrderIndices({}, best.name, q2, why)
     rng = stream("indices", seed)
 
     def shares(rows: NDArray[np.intp]) -> Array:
@@ -270,7 +270,7 @@ def first_order(quantiles: Array, values: Array, marginals: Mapping[str, Margina
     found = shares(np.arange(values.size))
     again = np.array([shares(rng.integers(values.size, size=values.size)) for _ in range(BOOTSTRAPS)])
     low, high = bootstrap_interval(found, again)
-    return FirstOrder(indices_of(list(marginals), found, low, high), best.name, q2)
+    return FirstOrderIndices(indices_of(list(marginals), found, low, high), best.name, q2)
 
 
 def bootstrap_interval(found: Array, again: Array) -> tuple[Array, Array]:

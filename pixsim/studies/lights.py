@@ -24,7 +24,7 @@ from pixsim.studies.study_settings import Study
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.raw_metrics import has_target
-from pixsim.viewer.score import Seen, white_header
+from pixsim.viewer.score import SeenPicture, white_header
 from pixsim.viewer.setting import Run
 
 
@@ -67,9 +67,9 @@ def given_light(case: Case[Study], picture: SpectralImage) -> GivenLight:
     return GivenLight(image, case.camera, without=case.without)
 
 
-def seen_by_all(study: Study, image: SpectralImage, camera: Camera) -> list[Seen]:
+def seen_by_all(study: Study, image: SpectralImage, camera: Camera) -> list[SeenPicture]:
     """Return a picture as the smallest pixels of each technology of a study see it, for the white that all of them share."""
-    return [Seen(image, camera, physics, border_on_um(study, camera)) for physics in smallest_pixels(study)]
+    return [SeenPicture(image, camera, physics, border_on_um(study, camera)) for physics in smallest_pixels(study)]
 
 
 def measured_pixels(study: Study, camera: Camera) -> list[Imaging]:

@@ -39,7 +39,7 @@ from pixsim.viewer.metrics import PIXEL_STATISTICS, Metric, MetricContext, colum
 from pixsim.viewer.score import (
     SceneCache,
     Score,
-    Seen,
+    SeenPicture,
     scored_border_um,
     warn_of_clipping,
     warn_of_other_camera,
@@ -180,7 +180,7 @@ def sweep(
         ]
         warn_of_unused_settings({"": given})
         border_um = max(borders_um)
-        seen = [Seen(light, camera, imaging.physics, border_um) for imaging in each.values()]
+        seen = [SeenPicture(light, camera, imaging.physics, border_um) for imaging in each.values()]
         display = with_white(display, white_header(seen, display))
         channels = max(len(imaging.physics.channels) for imaging in each.values())
         scenes = SceneCache(light.identified, camera, display, channels, judging=judging, without=without, develop=develop)

@@ -48,7 +48,7 @@ from pixsim.studies.film_error import (
     SAFE,
     UNSURE,
     FilmSampling,
-    Part,
+    PicturePart,
     Place,
     coarser,
     film_error,
@@ -64,7 +64,7 @@ from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.raw_metrics import has_target
-from pixsim.viewer.score import ImagingChain, Seen, white_header
+from pixsim.viewer.score import ImagingChain, SeenPicture, white_header
 from pixsim.viewer.setting import Setting
 
 TOLERATED_DELTA_E, TOLERATED_SHARE = 0.01, 0.02  # of mean ΔE
@@ -201,7 +201,7 @@ def measure_film(
     """
 
     with without_warnings():  # the run itself warns of the white
-        white = white_header([Seen(image, each.camera, each.physics) for each in measured], measured[0].display)
+        white = white_header([SeenPicture(image, each.camera, each.physics) for each in measured], measured[0].display)
         shown = image.with_planes(image.whole.planes, header=image.header | white, margin=image.margin)
 
     def steps_of(number: int, imaging: Imaging) -> tuple[float, tuple[float, float]]:
@@ -425,7 +425,7 @@ class BehindLens:
         across = len({columns.start for _, columns in patches})
         return [[_joined(of_film, across)] for of_film in found]
 
-    def of_part(self, part: Part, fine: Sequence[SpectralImage]) -> list[tuple[ChannelLight, ...]]:
+    def of_part(self, part: PicturePart, fine: Sequence[SpectralImage]) -> list[tuple[ChannelLight, ...]]:
         """Return the light of a part on finer films, beyond which its light goes on as in a mirror."""
         films = []
         for image in fine:
@@ -457,7 +457,7 @@ def _joined(lights: Sequence[tuple[ChannelLight, ...]], across: int) -> tuple[Ch
     return tuple(joined)
 
 
-def _finer_delta_e(parts: Sequence[Part], lens: BehindLens | None, imaging: Imaging, film_done: Callable[[], None]) -> Array:
+def _finer_delta_e(parts: Sequence[PicturePart], lens: BehindLens | None, imaging: Imaging, film_done: Callable[[], None]) -> Array:
     """Return `FilmSteps.finer_delta_e`.
 
     film_done : called after each of the films `FINER`

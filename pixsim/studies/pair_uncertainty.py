@@ -21,7 +21,7 @@ from pixsim.sensor.pixel_options import NO_TECHNOLOGY, Pixel
 from pixsim.sensor.spread import Spread, sheet_uncertainty
 from pixsim.sensor.technology import load_technology
 from pixsim.studies.cases import Case
-from pixsim.studies.indices import FirstOrder, first_order
+from pixsim.studies.indices import FirstOrderIndices, first_order
 from pixsim.studies.sensor_types import Asked, sample_of
 from pixsim.studies.series import Series
 from pixsim.studies.uncertainty import (
@@ -134,7 +134,7 @@ class PairUncertainty:
         return ResultDistribution.of(self.differences)
 
     @cached_property
-    def first_order(self) -> FirstOrder:
+    def first_order(self) -> FirstOrderIndices:
         """Share of the variance of the difference that each unknown alone explains."""
         return first_order(self.sample.quantiles, self.differences, self.sample.marginals, self.types.seed)
 

@@ -545,11 +545,11 @@ class StudyResult:
         return cell_of(self.study.title or self.study.name, self.plot(), optima_table(self.curves), *notes)
 
     def __repr__(self) -> str:
-        return f"<StudyResult {self.study.name}: {optimum_words(self.curves)}>"
+        return f"<{type(self).__name__} {self.study.name}: {optimum_words(self.curves)}>"
 
 
 @checks_fields
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CasesResult(StudyResult):
     """The result of a study with axes or conditions.
 

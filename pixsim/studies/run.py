@@ -56,7 +56,7 @@ from pixsim.viewer.score import (
     ImagingChain,
     PreparedScene,
     Score,
-    Seen,
+    SeenPicture,
     clip_words,
     clips_dark,
     dark_clip,
@@ -503,7 +503,7 @@ def light_run(prepared: RunJob, stage: Stage) -> LitRun:
             image = rendered.image
         settings, physics = prepared.settings, derive(prepared.settings.pixel)
         border_um = scored_border_um(physics, settings.motion, settings.exposure, prepared.camera)
-        seen = Seen(image, prepared.camera, physics, border_um)
+        seen = SeenPicture(image, prepared.camera, physics, border_um)
         image.header |= white_header([seen], prepared.settings.display)
     return LitRun(prepared, image, rendered, plan, tuple(notes))
 

@@ -24,7 +24,7 @@ from pixsim.studies.budget import without_warnings
 from pixsim.studies.film_error import FilmSampling
 from pixsim.viewer.display import white_rate
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.score import Seen, white_header
+from pixsim.viewer.score import SeenPicture, white_header
 
 DIGITS = 9  # of the light relative to white; the rest are rounding errors
 ROUNDING = 10.0**-DIGITS
@@ -61,7 +61,7 @@ class Sight:
         if not image.factors or not all(sampling.is_fine for sampling in samplings):
             return None
         with without_warnings():  # the run itself warns of the white
-            white = white_header([Seen(image, camera, physics) for physics in pixels], display)
+            white = white_header([SeenPicture(image, camera, physics) for physics in pixels], display)
             shown = image.with_planes(image.whole.planes, header=image.header | white, margin=image.margin)
         whites = [[white_rate(shown, camera, channel, display) for channel in physics.channels] for physics in pixels]
         light = [

@@ -32,7 +32,7 @@ from pixsim.sensor.technology import Junction, Technology
 from pixsim.show.figures import COLOURS, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate, rows_csv
 from pixsim.show.sentences import with_ends
-from pixsim.studies.indices import FirstOrder, Marginal, first_order, saltelli, total_indices
+from pixsim.studies.indices import FirstOrderIndices, Marginal, first_order, saltelli, total_indices
 from pixsim.studies.pixels import technology_of
 from pixsim.studies.study_file import spreads_of_study
 from pixsim.studies.study_settings import Study
@@ -563,14 +563,14 @@ class UncertaintyResult:
         return {name: Probability.of([outcome.verdicts[name] for outcome in self.outcomes]) for name in names}
 
     @cached_property
-    def first_order(self) -> dict[str, FirstOrder]:
+    def first_order(self) -> dict[str, FirstOrderIndices]:
         """First-order indices of the optimum, without censored ones, and of the least ΔE."""
         inside = np.array([outcome.inside for outcome in self.outcomes])
         found = {}
         for name in self.outputs:
             used = inside if name == "optimum_um" else np.ones_like(inside)
             if (lost := 1 - float(used.mean())) > MOST_CENSORED:
-                found[name] = FirstOrder(
+                found[name] = FirstOrderIndices(
                     withheld=f"{lost:.0%} of the optima are at an end of the pitches; {MOST_CENSORED:.0%} may be"
                 )
             else:
@@ -821,7 +821,7 @@ def indices_plate(result: UncertaintyResult) -> Plate:
     return Plate("uncertainty_indices", caption, figure, table)
 
 
-def draw_indices(axes: Axes, names: Sequence[str], own: FirstOrder) -> None:
+def draw_indices(axes: Axes, names: Sequence[str], own: FirstOrderIndices) -> None:
     """Draw a bar with its interval for each input, or why there are none."""
     axes.grid(axis="x", alpha=0.25)
     if own.withheld:
@@ -848,7 +848,7 @@ def input_labels(sample: Sample) -> dict[str, str]:
 WORTH_NAMING = 0.05  # share of the variance
 
 
-def indices_words(own: FirstOrder, output: str, labels: Mapping[str, str]) -> str:
+def indices_words(own: FirstOrderIndices, output: str, labels: Mapping[str, str]) -> str:
     """Return what is seen of the indices of an output: the largest, and their sum; or why they are withheld."""
     if own.withheld:
         return f"The shares of the {output} are withheld: {own.withheld}."

@@ -157,7 +157,7 @@ class Subject:
 
 
 @dataclass(frozen=True)
-class Step:
+class RungToMeasure:
     """A rung to measure: how to render its picture, and its work relative to the default settings."""
 
     setting: str
@@ -197,7 +197,7 @@ def rendered(scene: Scene, camera: Camera, plan: Plan) -> Picture:
     return lambda seed: job.image(*job.run(seed))
 
 
-def measure(ladder: str, step: Step, subject: Subject, clock: Clock) -> Rung:
+def measure(ladder: str, step: RungToMeasure, subject: Subject, clock: Clock) -> Rung:
     """Time and errors of a setting over independent renders."""
     picture = step.picture()
     if clock.warms_up(step.work):
@@ -215,7 +215,7 @@ def measure(ladder: str, step: Step, subject: Subject, clock: Clock) -> Rung:
     return Rung(ladder, step.setting, step.value, step.shipped, min(seconds), rms(electrons), rms(delta_e), rms(optimum))
 
 
-def climb(ladder: str, steps: Sequence[Step], subject: Subject, clock: Clock, shipped: Rung) -> Iterator[Rung]:
+def climb(ladder: str, steps: Sequence[RungToMeasure], subject: Subject, clock: Clock, shipped: Rung) -> Iterator[Rung]:
     """Measure the rungs, cheapest first; the default settings are already measured, and rungs beyond the time left are skipped."""
     for step in sorted(steps, key=lambda candidate: candidate.work):
         expected = clock.expected_s(step.work)
@@ -227,18 +227,18 @@ def climb(ladder: str, steps: Sequence[Step], subject: Subject, clock: Clock, sh
             yield Rung(ladder, step.setting, step.value, left_out=f"about {expected:.0f} s")
 
 
-def render_steps(subject: Subject, depth: Depth) -> dict[str, list[Step]]:
+def render_steps(subject: Subject, depth: Depth) -> dict[str, list[RungToMeasure]]:
     """The ladders of the render, with one setting varied in each; the most expensive methods come last."""
     scene, camera, plan, width = subject.scene, subject.camera, subject.plan, subject.image.shape[1]
     full = make_render_plan(scene, camera, subject.design.imaging.pixel, full=True)
     films = {width, *(max(8, int(width * 2.0**k)) for k in depth.films)} if "resolution" in scene.names else ()
     planned = plan.bands.width_nm.size
 
-    def step(setting: str, value: float, work: float = 1.0, *, of: Scene = scene, to: Plan = plan, **changes: Any) -> Step:
+    def step(setting: str, value: float, work: float = 1.0, *, of: Scene = scene, to: Plan = plan, **changes: Any) -> RungToMeasure:
         shipped = of is scene and to is plan and all(getattr(plan, key) == value for key, value in changes.items())
-        return Step(setting, value, partial(rendered, of, camera, replace(to, **changes)), work, shipped)
+        return RungToMeasure(setting, value, partial(rendered, of, camera, replace(to, **changes)), work, shipped)
 
-    def equal_bands(count: int) -> Step:
+    def equal_bands(count: int) -> RungToMeasure:
         equal = make_render_plan(scene, camera, subject.design.imaging.pixel, band_count=count)
         return step(f"{count} equal bands", count, equal.passes / plan.passes, to=equal, spp=plan.spp)
 
@@ -249,7 +249,7 @@ def render_steps(subject: Subject, depth: Depth) -> dict[str, list[Step]]:
     for n in depth.plain:
         for sampler in ("independent", "multijitter"):
             make_picture = partial(plain_picture, scene, camera, plan, sampler, n)
-            methods.append(Step(f"Mitsuba, {sampler}, {n} spp", n, make_picture, PLAIN_WORK * n / plan.spp))
+            methods.append(RungToMeasure(f"Mitsuba, {sampler}, {n} spp", n, make_picture, PLAIN_WORK * n / plan.spp))
     if scene.choice.variant != SCALAR:
         methods.append(step(f"pixsim, pruned, {SCALAR}", plan.spp, SCALAR_WORK, of=replace(scene, choice=variants.choose(SCALAR))))
     return {

@@ -11,7 +11,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pixsim.show.document import Answer, Block, Document, Fact, Listed, Note, Plot, Section, Strong, Table, Text, Verdict, made_with
+from pixsim.show.document import (
+    Answer,
+    Block,
+    Document,
+    Fact,
+    Listed,
+    Note,
+    Plot,
+    Section,
+    Strong,
+    Table,
+    Text,
+    VerdictText,
+    made_with,
+)
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, new_figure, own_style, plain_powers
 from pixsim.show.pages import Column, Plate, figure_files, plain, rows_csv
 from pixsim.show.sentences import UNKNOWN, number
@@ -298,7 +312,10 @@ def facts(accuracy: Accuracy) -> Iterator[Block]:
     """Yield what follows the errors of the default settings: what they are worth, how long it takes, and what went wrong."""
     yield Fact(f"reference: {accuracy.reference}")
     yield Listed(
-        (f"{METRICS[metric]}: the default settings are ", Verdict(front_words(accuracy, metric), accuracy.beaten(metric) is None))
+        (
+            f"{METRICS[metric]}: the default settings are ",
+            VerdictText(front_words(accuracy, metric), accuracy.beaten(metric) is None),
+        )
         for metric in METRICS
         if accuracy.rivals(metric)
     )
@@ -352,7 +369,7 @@ def case_table(accuracy: Accuracy) -> Table:
         rows += [(room,)] if room else []
         for case in cases:
             values = f"{case.expected:.6g}", f"{case.got:.6g}", number(case.error), number(case.allowed)
-            met = Verdict("met" if case.passed else f"NOT met {case.warned}", case.passed)
+            met = VerdictText("met" if case.passed else f"NOT met {case.warned}", case.passed)
             rows.append((case.name, *values, (met,), case.source))
     head = ("case", "expected", "got", "error", "limit", "verdict", "source")
     return Table("extreme cases", head, rows, words=(5, 6))
@@ -371,7 +388,7 @@ def solver_table(accuracy: Accuracy) -> Table:
         (
             row.light, f"{row.integration_s:g}", row.name,
             *((UNKNOWN, UNKNOWN) if row.failure else (f"{row.charge_e:.9g}", number(row.relative_error))),
-            str(row.evaluations), f"{row.seconds:.2g}", (Verdict(row.failure or "done", not row.failure),),
+            str(row.evaluations), f"{row.seconds:.2g}", (VerdictText(row.failure or "done", not row.failure),),
         )
         for row in accuracy.solvers
     )  # fmt: skip

@@ -16,7 +16,7 @@ from pixsim.studies.budget import Calibration, Effect, ProbeDesign
 from pixsim.verification.ladders import METRICS, Metric, Rung
 from pixsim.verification.orders import Order, beaten_by, fit_order
 from pixsim.verification.solvers import Solved
-from pixsim.verification.stability import Case
+from pixsim.verification.stability import ExtremeCase
 from pixsim.viewer.setting import Run
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ class Accuracy:
     stage_seconds: dict[str, float]
     calibration: Calibration
     budget: dict[str, Effect]
-    cases: tuple[Case, ...] = field(repr=False)
+    cases: tuple[ExtremeCase, ...] = field(repr=False)
     solvers: tuple[Solved, ...] = field(repr=False)
     header: dict[str, Any] = field(repr=False)
     design: ProbeDesign = field(repr=False)

@@ -30,13 +30,13 @@ from pixsim.studies.cases import Case
 from pixsim.studies.preparation import loaded_scene
 from pixsim.studies.run import RunJob, RunResult
 from pixsim.verification import ladders, stability
-from pixsim.verification.ladders import FULL_WORK, Clock, Depth, Rung, Step, Subject
+from pixsim.verification.ladders import FULL_WORK, Clock, Depth, Rung, RungToMeasure, Subject
 from pixsim.verification.reference import REFERENCE_WORK, analytic_reference, formula_of, rendered_reference
 from pixsim.verification.result import Accuracy
 from pixsim.verification.solvers import Solved, solvers
 from pixsim.viewer.develop_options import with_functions
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.score import Seen, white_header
+from pixsim.viewer.score import SeenPicture, white_header
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
 
@@ -60,7 +60,7 @@ def first_picture(scene: Scene, camera: Camera, plan: Plan, design: ProbeDesign)
         image = job.image(*job.run(1))
         render_s = time.perf_counter() - start
     imaging = design.imaging
-    image.header |= white_header([Seen(image, camera, imaging.physics, imaging.border_um)], imaging.display)
+    image.header |= white_header([SeenPicture(image, camera, imaging.physics, imaging.border_um)], imaging.display)
     return image, {"compile": max(first - render_s, 0.0), "render": render_s}
 
 
@@ -241,7 +241,7 @@ def all_rungs(subject: Subject, depth: Depth, clock: Clock, progress: Stage) -> 
     """Rungs of the default settings and of all ladders; the most expensive come last and are skipped if time runs out."""
     report_progress = progress("ladders")
     picture = partial(ladders.rendered, subject.scene, subject.camera, subject.plan)
-    shipped_step = Step("default settings", subject.plan.spp, picture, shipped=True)
+    shipped_step = RungToMeasure("default settings", subject.plan.spp, picture, shipped=True)
     began = time.perf_counter()
     shipped = ladders.measure("methods", shipped_step, subject, clock)
     whole_s = time.perf_counter() - began - (clock.runs + 1) * subject.render_s

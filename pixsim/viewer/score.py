@@ -753,7 +753,7 @@ def fraction_beyond_white(light: Array) -> float:
     return float(np.mean(luminance_of(light) > 1 + ROUNDING))
 
 
-class Seen(NamedTuple):
+class SeenPicture(NamedTuple):
     """A picture as pixels see it, for `white_header`.
 
     border_um : of all that is scored on the same dots, as for `displays.dot_edges_um`; None means this pixel's
@@ -781,7 +781,7 @@ class Seen(NamedTuple):
         return luminance_of(ideal_on_dots(irradiance, camera, physics, unit, border_um, rendition)[1])
 
 
-def white_header(seen: Sequence[Seen], display: Display) -> dict[str, Any]:
+def white_header(seen: Sequence[SeenPicture], display: Display) -> dict[str, Any]:
     """Return header entries with a white for a scene of unknown white; none if the display or the scene defines the white.
 
     It is one luminance for all that see the scene: the 99th percentile of the ideal image in the response of the pixels, on the
@@ -1188,7 +1188,7 @@ def make_imaging_chain(
     warn_of_implausible_numbers(pixel)
     warn_of_stack_limits(physics, camera, irradiance.wavelength_nm)
     border_um = scored_border_um(physics, motion, exposure, camera)
-    display = with_white(display, white_header([Seen(irradiance, camera, physics, border_um)], display))
+    display = with_white(display, white_header([SeenPicture(irradiance, camera, physics, border_um)], display))
     judging.check(MetricContext(physics.layout is not None, without is not None))
     keep = keep and not judging.needs_light
     key = _key_of_chain(irradiance, camera, physics, (exposure, display, correction, develop, motion), full) if keep else None

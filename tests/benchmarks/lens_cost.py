@@ -30,7 +30,7 @@ from pixsim.light.spectral import photons_per_joule
 from pixsim.optics import camera_lens
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import Tiling, blur_of, choose_tiling, light_of
-from pixsim.optics.field_blur import FieldBlur, Light, periodic_psf
+from pixsim.optics.field_blur import ChannelWavefronts, FieldBlur, periodic_psf
 from pixsim.optics.lens import load_lens
 from pixsim.optics.lens_options import LensOptions
 from pixsim.scene.charts import csf_value
@@ -76,7 +76,7 @@ def seen_by_pixels(picture: Array, pitch_um: float) -> Array:
     return np.fft.irfft2(np.fft.rfft2(picture) * averaged, picture.shape)
 
 
-def superposed_at(picture: Array, points: Array, light: Light, pitch_um: float) -> Array:
+def superposed_at(picture: Array, points: Array, light: ChannelWavefronts, pitch_um: float) -> Array:
     """The blurred picture at cells (n, 2) as pixels see it, each lit cell with its own PSF."""
 
     def psf_of(source: Array) -> Array:

@@ -18,7 +18,7 @@ from helpers.processes import HANG_S
 
 from pixsim.base import machine
 from pixsim.cli import doctor
-from pixsim.cli.doctor import NOTE, OK, PROBLEM, Finding, doctor_document, requirements, satisfies
+from pixsim.cli.doctor import NOTE, OK, PROBLEM, Diagnosis, doctor_document, requirements, satisfies
 from pixsim.optics.camera import Camera
 from pixsim.scene.variants import checks, graphics, trial, variant
 from pixsim.show import render
@@ -235,19 +235,19 @@ def test_broken_packages_uses_lines_before_abort():
 def test_graphics_card_gives_finding():
     """A card that works is the default; one that does not is a note with its reason; no card at all is fine."""
 
-    def found(card: graphics.Verdict, taken: str) -> tuple[Finding, Finding]:
+    def found(card: graphics.GraphicsTrial, taken: str) -> tuple[Diagnosis, Diagnosis]:
         right = trial.Trial([{"mean_error": 1e-5, "rms_error": 4e-3}], 1.0, 0, "")
         (of_variant,) = (f for f in doctor._variants({taken: right}, taken, card) if f.subject == "cuda_ad_spectral")
         return of_variant, doctor._graphics(card)
 
-    of_variant, of_machine = found(graphics.Verdict(None, "NVIDIA of a test, 8.0 GiB, CUDA 12.8", 1e9), "cuda_ad_spectral")
+    of_variant, of_machine = found(graphics.GraphicsTrial(None, "NVIDIA of a test, 8.0 GiB, CUDA 12.8", 1e9), "cuda_ad_spectral")
     assert (of_variant.mark, of_variant.found) == (OK, "works and is the default")
     assert (of_machine.mark, of_machine.found) == (OK, "NVIDIA of a test, 8.0 GiB, CUDA 12.8")
     fault = "its trial render fails: dies of signal 6 (SIGABRT)"
-    of_variant, of_machine = found(graphics.Verdict(fault, "NVIDIA of a test", 1e9), "llvm_ad_spectral")
+    of_variant, of_machine = found(graphics.GraphicsTrial(fault, "NVIDIA of a test", 1e9), "llvm_ad_spectral")
     assert (of_variant.mark, of_variant.found) == (NOTE, f"does not work: {fault}")
     assert (of_machine.mark, of_machine.found) == (NOTE, f"NVIDIA of a test; not used: {fault}")
-    of_variant, of_machine = found(graphics.Verdict(graphics.NO_CARD), "llvm_ad_spectral")
+    of_variant, of_machine = found(graphics.GraphicsTrial(graphics.NO_CARD), "llvm_ad_spectral")
     assert (of_variant.mark, of_machine.mark) == (OK, OK)
     assert of_machine.found == f"none usable: {graphics.NO_CARD}"
 
@@ -356,8 +356,8 @@ def test_cache_without_home_is_problem(monkeypatch: pytest.MonkeyPatch):
 
 def test_report_wraps_text_but_not_commands():
     fix = "export A=" + "x" * 200
-    bad = Finding("group", "bad", PROBLEM, "word " * 60, fix)
-    findings = [Finding("group", "good", OK, "text"), bad, Finding("b", "c", NOTE, "-")]
+    bad = Diagnosis("group", "bad", PROBLEM, "word " * 60, fix)
+    findings = [Diagnosis("group", "good", OK, "text"), bad, Diagnosis("b", "c", NOTE, "-")]
     lines = render.text(doctor_document(findings), 80).splitlines()
     assert lines[:2] == ["group", "  ok       good  text"]
     assert lines[2].startswith("  problem  bad   word ")

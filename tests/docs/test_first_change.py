@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import shutil
@@ -9,10 +10,15 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from helpers.documents import ROOT, blocks_of
 from helpers.processes import HANG_S
+
+from pixsim.studies.cases import cases_of
+from pixsim.studies.study_file import load_study
+from pixsim.studies.study_settings import Study
 
 PAGE = ROOT / "docs/first_change.md"
 TESTS = "flicker or every_setting_of_a_frame or rms_luminance or mean_and_variance or hand_calculation"
@@ -64,5 +70,18 @@ def test_changes_give_a_noise_an_axis_and_a_metric(tmp_path: Path) -> None:
     assert 0 < quiet["rms_of_white"] < noisy["rms_of_white"]
     assert quiet["mean_delta_e"] < noisy["mean_delta_e"]
     sizes = ["--pitch.values-um", "15,20,25,30,40", "--jobs", "1", "--out", "c"]
-    run("pixsim", "study", "pixel-size", "--quick", *small[:4], *judged, *sizes, "--axis", "pixel.flicker_noise_e=0,300")
-    assert ",rms_of_white," in (tmp_path / "c/results.csv").read_text(encoding="utf-8").splitlines()[0]
+    axes = ["--axis", "pixel.flicker_noise_e=0,300", "--axis", "display.gain=1,1.1"]
+    run("pixsim", "study", "pixel-size", "--quick", *small[:4], *judged, *sizes, *axes)
+    with (tmp_path / "c/results.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert "rms_of_white" in rows[0]
+    found = {gain: [row for row in rows if float(row["display.gain"]) == gain] for gain in (1.0, 1.1)}
+    for right, bright in zip(*found.values(), strict=True):  # the same frames, of which no dot is at the end of the codes
+        assert float(bright["rms_of_white"]) == pytest.approx(1.1 * float(right["rms_of_white"]), rel=1e-4)
+
+
+def test_axis_in_python_has_a_case_of_each_value() -> None:
+    (block,) = (block for block in blocks_of(PAGE.read_text(encoding="utf-8")) if block.language == "python")
+    studies: list[Study] = []
+    exec(block.text, {"pixsim": SimpleNamespace(study=lambda name, out, quick, **more: studies.append(load_study(name, **more)))})
+    assert [case.settings.pixel.row_noise_e for case in cases_of(studies[0])] == [0.0, 3.0, 10.0]

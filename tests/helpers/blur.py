@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from pixsim.optics.field_blur import Light, Psf, even_window, periodic_psf
+from pixsim.optics.field_blur import ChannelWavefronts, Psf, even_window, periodic_psf
 
 
-def point_spread(light: Light, x_um: float, y_um: float, pitch_um: float, cells: int) -> Psf:
+def point_spread(light: ChannelWavefronts, x_um: float, y_um: float, pitch_um: float, cells: int) -> Psf:
     """Return the PSF of an image point, cut off to an odd number of film cells along a side.
 
     x_um, y_um : of the image point, from the optical axis, along columns and rows

@@ -21,7 +21,7 @@ from pixsim.measure import datasheet, estimators
 from pixsim.measure.colour import colour_truth, measure_colour, noise_gain, smi
 from pixsim.measure.datasheet import DataSheet, Entry, expected_moments, make_datasheet, mean_offset_e, variance_peak_e
 from pixsim.measure.datasheet_report import FILES as PLANNED, datasheet_document, described, sheet_name, spectrogram
-from pixsim.measure.estimators import Estimate, Series, Stack, daylight_e_per_lx_s
+from pixsim.measure.estimators import Estimate, FrameStack, PairSeries, daylight_e_per_lx_s
 from pixsim.measure.experiment import DARK_TIMES, EXPOSURES, make_experiment, peak_wavelength_nm, pixel_efficiency
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.noise import signal_at_snr_e
@@ -67,17 +67,17 @@ def test_parts_of_known_maps_recovers_variances() -> None:
     rng = stream("test parts")
     rows, columns = 400, 300
     maps = 3 * rng.standard_normal(columns), 2 * rng.standard_normal((rows, 1)), 5 * rng.standard_normal((rows, columns))
-    variances = [estimate.value for estimate in estimators.parts(Stack(16, sum(maps), np.zeros((rows, columns))))]  # type: ignore[arg-type]
+    variances = [estimate.value for estimate in estimators.parts(FrameStack(16, sum(maps), np.zeros((rows, columns))))]  # type: ignore[arg-type]
     assert variances[:2] == pytest.approx([maps[0].var(), maps[1].var()], rel=0.03)
     assert variances[2] == pytest.approx(25, rel=0.02)
     assert sum(variances) == pytest.approx(sum(maps).var(ddof=1), rel=1e-2)
 
 
-def ideal_light(gain: float = 0.4, eta: float = 0.5, dark_e2: float = 100.0, full_e: float = 9000.0) -> Series:
+def ideal_light(gain: float = 0.4, eta: float = 0.5, dark_e2: float = 100.0, full_e: float = 9000.0) -> PairSeries:
     photons = np.arange(1, 51) * 400.0
     electrons = np.minimum(eta * photons, full_e)
     variance = np.where(eta * photons < full_e, gain**2 * (dark_e2 + electrons) + 1 / 12, 0.01)
-    return Series(photons, 50 + gain * electrons, variance, variance)
+    return PairSeries(photons, 50 + gain * electrons, variance, variance)
 
 
 def test_photon_transfer_ideal_frames_gives_parameters() -> None:

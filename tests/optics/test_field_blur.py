@@ -15,9 +15,9 @@ from pixsim.optics.diffraction import diffraction_otf
 from pixsim.optics.field_blur import (
     BAND_END,
     OUTLINE_ANGLES,
+    ChannelWavefronts,
     FieldBlur,
     FittedWavefronts,
-    Light,
     PupilRays,
     RadialPsfs,
     amid_tiles,
@@ -92,7 +92,7 @@ def test_veil_of_light_that_falls_as_the_cube_of_the_distance(from_z: float):
 def test_perfect_lens_has_the_diffraction_otf_with_cut_offs_that_fall_as_cosines(degrees: float) -> None:
     f_number, distance_mm = 32.0, 10.0
     nodes = np.linspace(0, distance_mm * math.tan(math.radians(40)), 9)
-    light = Light([fitted(f_number, nodes, distance_mm, perfect)], np.ones(1))
+    light = ChannelWavefronts([fitted(f_number, nodes, distance_mm, perfect)], np.ones(1))
     height_um = 1e3 * distance_mm * math.tan(math.radians(degrees))
     psf = periodic_psf(light, height_um, 0.0, 4.0, 400)
     frequency, along, across = otf_along(psf, 4.0)
@@ -109,7 +109,7 @@ def test_traced_thin_lens_has_the_diffraction_otf_with_cut_offs_that_fall_as_cos
     lens = lens_of(Prescription("thin", "", "", surfaces, 0, "f_number", 100.0, "angle_deg", 20.0, (NM,), NM))
     fields = np.linspace(0, 20, 5)
     (rays,) = pupil_rays(lens, fields, np.array([NM]))
-    light = Light([fit_wavefronts(NM, np.array([one.height_um for one in rays]), rays)], np.ones(1))
+    light = ChannelWavefronts([fit_wavefronts(NM, np.array([one.height_um for one in rays]), rays)], np.ones(1))
     for degrees, one in zip(fields.tolist(), rays, strict=True):
         frequency, along, across = otf_along(periodic_psf(light, one.height_um, 0.0, 12.0, 400), 12.0)
         cosine, effective = math.cos(math.radians(degrees)), math.hypot(1, 200.0) / 2
@@ -147,7 +147,7 @@ def hopkins(frequency: Array, w20: float) -> Array:
 @pytest.mark.parametrize("w20", [0.25, 0.5, 1.0, 2.0])
 def test_defocus_has_the_otf_of_hopkins(w20: float) -> None:
     f_number = 200.0
-    light = Light([fitted(f_number, np.zeros(1), 1.0, lambda u, v, _: w20 * (u**2 + v**2))], np.ones(1))
+    light = ChannelWavefronts([fitted(f_number, np.zeros(1), 1.0, lambda u, v, _: w20 * (u**2 + v**2))], np.ones(1))
     pitch_um = 20.0
     frequency, otf, _ = otf_along(periodic_psf(light, 0.0, 0.0, pitch_um, 900), pitch_um)
     reduced = 2 * frequency * NM * 1e-6 * math.hypot(1, 2 * f_number) / 2
@@ -167,8 +167,8 @@ def uneven(u: Array, v: Array, tangent: float) -> Array:
 
 
 @pytest.fixture(scope="module")
-def uneven_light() -> Light:
-    return Light([fitted(F_NUMBER, np.linspace(0, 0.4, 17), DISTANCE_MM, uneven)], np.ones(1))
+def uneven_light() -> ChannelWavefronts:
+    return ChannelWavefronts([fitted(F_NUMBER, np.linspace(0, 0.4, 17), DISTANCE_MM, uneven)], np.ones(1))
 
 
 def superposed_at(picture: Array, points: Array) -> Array:
@@ -208,15 +208,15 @@ def contrast_chart() -> Array:
     return 0.01 ** (1 - y) * np.sin(2 * np.pi * 4 * (16**x - 1) / np.log(16))
 
 
-def psfs_of(light: Light, shape: tuple[int, int], pitch_um: float, spacing: int, cells: int) -> RadialPsfs:
+def psfs_of(light: ChannelWavefronts, shape: tuple[int, int], pitch_um: float, spacing: int, cells: int) -> RadialPsfs:
     return radial_psfs(light, pitch_um, cells, spacing * pitch_um / 2, tiles_reach_um(shape, pitch_um, spacing, cells))
 
 
-def blur_of(light: Light, shape: tuple[int, int], pitch_um: float, spacing: int, cells: int) -> FieldBlur:
+def blur_of(light: ChannelWavefronts, shape: tuple[int, int], pitch_um: float, spacing: int, cells: int) -> FieldBlur:
     return field_blur(psfs_of(light, shape, pitch_um, spacing, cells), shape, pitch_um, spacing, cells)
 
 
-def bound_of(light: Light, spacing: int) -> float:
+def bound_of(light: ChannelWavefronts, spacing: int) -> float:
     """The bound of tiles for random dots all over the picture, from places on the way to its corner."""
     psfs = psfs_of(light, (FILM, FILM), PITCH_UM, spacing, CELLS)
     places = [(part * FILM / 2 * PITCH_UM,) * 2 for part in (0.25, 0.5, 0.7, 0.8)]
@@ -230,14 +230,14 @@ SPACINGS = (64, 32)
 
 
 @pytest.fixture(scope="module")
-def bounds(uneven_light: Light) -> list[float]:
+def bounds(uneven_light: ChannelWavefronts) -> list[float]:
     return [bound_of(uneven_light, spacing) for spacing in SPACINGS]
 
 
 # Each point of the chart is a sum over a thousand lit cells, of the dots over four.
 @pytest.mark.parametrize(("picture", "count"), [(random_dots(), 64), (contrast_chart(), 16)], ids=["random dots", "csf"])
 def test_tiles_agree_with_superposition_within_their_bound(
-    picture: Array, count: int, uneven_light: Light, bounds: list[float]
+    picture: Array, count: int, uneven_light: ChannelWavefronts, bounds: list[float]
 ) -> None:
     points = np.random.default_rng(5).integers(30, FILM - 30, (count, 2))
     exact, errors = superposed_at(picture, points), []
@@ -253,11 +253,11 @@ COARSE_UM = 4.0  # cells that do not resolve what the lens of f/4 passes
 
 
 @pytest.fixture(scope="module")
-def sharp_light() -> Light:
-    return Light([fitted(4.0, np.linspace(0, 0.6, 17), DISTANCE_MM, uneven)], np.ones(1))
+def sharp_light() -> ChannelWavefronts:
+    return ChannelWavefronts([fitted(4.0, np.linspace(0, 0.6, 17), DISTANCE_MM, uneven)], np.ones(1))
 
 
-def test_error_of_tiles_falls_with_their_number_on_a_film_that_does_not_resolve_the_lens(sharp_light: Light) -> None:
+def test_error_of_tiles_falls_with_their_number_on_a_film_that_does_not_resolve_the_lens(sharp_light: ChannelWavefronts) -> None:
     """All light counts, also that beyond the PSFs; superposition takes whole PSFs from their own pupils.
 
     The part of the tiles falls with the fourth power of their number, as cubic windows have it; what a PSF lacks stays.
@@ -289,7 +289,7 @@ def test_error_of_tiles_falls_with_their_number_on_a_film_that_does_not_resolve_
 
 def test_a_psf_is_seen_through_a_low_pass_that_ends_softly() -> None:
     """The raised cosine's response in closed form, convolved with a PSF whose samples resolve it."""
-    light = Light([fitted(4.0, np.linspace(0, 0.4, 9), 1.0, uneven, shift_um=9.0)], np.ones(1))
+    light = ChannelWavefronts([fitted(4.0, np.linspace(0, 0.4, 9), 1.0, uneven, shift_um=9.0)], np.ones(1))
     finer, window, place = 8, 96, (250.0, 120.0)
     fine = np.fft.fftshift(periodic_psf(light, *place, COARSE_UM / finer, window * finer))
     found = np.fft.fftshift(periodic_psf(light, *place, COARSE_UM, window))
@@ -306,7 +306,7 @@ def test_a_psf_is_seen_through_a_low_pass_that_ends_softly() -> None:
     assert np.sqrt(np.sum(outside**2)) < 4e-3 * norm  # a band that breaks off leaves 7 % there
 
 
-def test_turned_and_interpolated_psfs_are_those_of_their_own_pupils(sharp_light: Light) -> None:
+def test_turned_and_interpolated_psfs_are_those_of_their_own_pupils(sharp_light: ChannelWavefronts) -> None:
     """Between the distances that are computed, at any azimuth, and at the end of what is known; beyond it there is none."""
     step_um, cells = 16.0, 33
     psfs = radial_psfs(sharp_light, COARSE_UM, cells, step_um, 200.0)
@@ -322,7 +322,7 @@ def test_turned_and_interpolated_psfs_are_those_of_their_own_pupils(sharp_light:
         psfs.at([(0.0, 0.0)], 3.9, cells)
 
 
-def test_psfs_that_hold_all_that_the_lens_passes_serve_for_every_film(sharp_light: Light) -> None:
+def test_psfs_that_hold_all_that_the_lens_passes_serve_for_every_film(sharp_light: ChannelWavefronts) -> None:
     """A film ten times finer than the lens has the PSFs of the coarsest film that shows all of it."""
     resolving = resolving_um(sharp_light)
     known = radial_psfs(sharp_light, resolving / 10, 301, 50.0, 400.0)
@@ -334,7 +334,7 @@ def test_psfs_that_hold_all_that_the_lens_passes_serve_for_every_film(sharp_ligh
         assert kernel.sum() == pytest.approx(right.sum(), abs=0.01)  # what lies beyond the windows folds back
 
 
-def test_transform_of_a_psf_is_that_of_its_film_cells_on_any_window(sharp_light: Light) -> None:
+def test_transform_of_a_psf_is_that_of_its_film_cells_on_any_window(sharp_light: ChannelWavefronts) -> None:
     known = radial_psfs(sharp_light, 1.0, 33, 50.0, 400.0)
     window = np.fft.irfft2(known.transform([(200.0, 100.0)], 1.0, (150, 121))[0], (150, 121))
     kernel = known.at([(200.0, 100.0)], 1.0, 33)[0].kernel
@@ -370,7 +370,7 @@ def test_psfs_reach_as_far_as_tiles_and_points_amid_them(cells: int, spacing: in
     assert max(*tiles, corner) <= reach_um
 
 
-def test_mirrors_do_not_change_the_blur(uneven_light: Light) -> None:
+def test_mirrors_do_not_change_the_blur(uneven_light: ChannelWavefronts) -> None:
     """A picture mirrored or transposed is blurred as the mirrored blur: tiles of one octant serve all of them."""
     picture = random_dots()[:97, :97]
     blur = blur_of(uneven_light, picture.shape, PITCH_UM, 16, 17)
@@ -380,7 +380,7 @@ def test_mirrors_do_not_change_the_blur(uneven_light: Light) -> None:
 
 
 @pytest.mark.parametrize("shape", [(96, 96), (97, 97), (96, 65), (65, 128), (96, 128), (65, 97)])
-def test_light_is_preserved_before_it_leaves_the_picture(shape: tuple[int, int], uneven_light: Light) -> None:
+def test_light_is_preserved_before_it_leaves_the_picture(shape: tuple[int, int], uneven_light: ChannelWavefronts) -> None:
     picture = np.random.default_rng(1).random(shape)
     blur = blur_of(uneven_light, shape, PITCH_UM, 16, 17)
     reach = blur.cells // 2
@@ -396,7 +396,9 @@ COMA = 4.0
 
 @pytest.fixture(scope="module")
 def coma_blur() -> FieldBlur:
-    light = Light([fitted(F_NUMBER, np.linspace(0, 0.4, 9), 1.0, lambda u, v, t: COMA * t * v * (u**2 + v**2))], np.ones(1))
+    light = ChannelWavefronts(
+        [fitted(F_NUMBER, np.linspace(0, 0.4, 9), 1.0, lambda u, v, t: COMA * t * v * (u**2 + v**2))], np.ones(1)
+    )
     return blur_of(light, (161, 161), PITCH_UM, 20, 65)
 
 
@@ -420,7 +422,7 @@ def test_a_point_is_shifted_along_its_field_by_the_mean_slope_of_the_wavefront(x
 
 
 def test_lateral_colour_moves_the_psf() -> None:
-    light = Light([fitted(F_NUMBER, np.linspace(0, 0.4, 9), 1.0, perfect, shift_um=30.0)], np.ones(1))
+    light = ChannelWavefronts([fitted(F_NUMBER, np.linspace(0, 0.4, 9), 1.0, perfect, shift_um=30.0)], np.ones(1))
     kernel = point_spread(light, 0.0, 300.0, PITCH_UM, 65).kernel
     rows = np.arange(65) - 32
     assert (kernel * rows[:, None]).sum() / kernel.sum() * PITCH_UM == pytest.approx(30.0 * 0.3, rel=0.01)
@@ -432,7 +434,7 @@ def test_psfs_act_on_means_over_cells_and_give_such_means() -> None:
 
     PSFs that are means over cells themselves would blur such means once more, by sinc² of the frequency times the cell.
     """
-    light = Light([fitted(4.0, np.linspace(0, 0.4, 9), 1.0, uneven)], np.ones(1))
+    light = ChannelWavefronts([fitted(4.0, np.linspace(0, 0.4, 9), 1.0, uneven)], np.ones(1))
     cells, finer = 120, 4
     generator = np.random.default_rng(9)
     spectrum = np.fft.rfft2(generator.standard_normal((cells * finer,) * 2))

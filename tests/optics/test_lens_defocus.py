@@ -10,7 +10,7 @@ from scipy.signal import fftconvolve
 
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import camera_with_lens, fitted_wavefronts, traced_lens
-from pixsim.optics.field_blur import Light, even_window, picture_error
+from pixsim.optics.field_blur import ChannelWavefronts, even_window, picture_error
 from pixsim.optics.lens_defocus import (
     BESIDE_DISC,
     CELLS_PER_DISC,
@@ -65,7 +65,7 @@ def test_defocus_of_a_perfect_lens_is_off_by_diffraction_as_hopkins_has_it(tmp_p
     file.write_text(THIN, encoding="utf-8")
     camera = with_lens(str(file), 0.1, focal_length_mm=10.0)
     aperture_um, effective = 40.0, camera.effective_f_number
-    light = Light(wavefronts_at_depth(camera, 1.0, NM), np.ones(1))
+    light = ChannelWavefronts(wavefronts_at_depth(camera, 1.0, NM), np.ones(1))
     for w20 in (0.25, 1.0, 2.0):
         disc_um = 8 * w20 * NM[0] * 1e-3 * effective  # marginal rays: 2 λ W₂₀/NA on each side, NA = 1/(2 N)
         pitch_um = max(aperture_um / 2, disc_um / CELLS_PER_DISC)
@@ -104,7 +104,9 @@ def test_stated_error_is_that_against_a_trace_at_the_defocused_distance(file: st
     camera = with_lens(file, SIDE * PITCH_UM * 1e-3, distance_m, focal_length_mm=1.0 if file == "phone" else 4.0)
     depth_m = depth_of_disc_m(camera, disc_um)
     everywhere = tuple(np.linspace(0, 1, 9).tolist())
-    there, focused = (Light(wavefronts_at_depth(camera, depth, NM, everywhere), np.ones(1)) for depth in (depth_m, distance_m))
+    there, focused = (
+        ChannelWavefronts(wavefronts_at_depth(camera, depth, NM, everywhere), np.ones(1)) for depth in (depth_m, distance_m)
+    )
     exact, in_focus = (blur_of(light, (SIDE, SIDE), PITCH_UM, 12, CELLS) for light in (there, focused))
     # The disc as means over cells, from 16 × 16 points in each.
     fine = (np.arange(CELLS * 16) - (CELLS * 16 - 1) / 2) * PITCH_UM / 16

@@ -68,6 +68,11 @@ def result_of(optima_um: Optima, least: Optima = lambda *_: 1.0, **study: Any) -
     return CasesResult(plan, curves, LIGHT, parts[0].camera, parts=tuple(parts))
 
 
+def test_result_with_axes_prints_as_a_line_of_optima() -> None:
+    result = result_of(lambda at, *_: at["lens"], axis=[{"name": "lens", "set": "camera.f_number", "values": [4.0, 8.0]}])
+    assert re.fullmatch(r"<CasesResult tiny: 0\.35um, lens 4: [^;]* µm; 0\.35um, lens 8: [^;]* µm>", repr(result))
+
+
 LUMINANCE = {
     "name": "luminance",
     "set": ["scene.parameters.luminance_cd_per_m2", "display.white_cd_per_m2"],

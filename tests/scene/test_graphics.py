@@ -29,7 +29,7 @@ from pixsim.scene.convergence import render_until
 from pixsim.scene.guard import tracer
 from pixsim.scene.guard.child import ChildTracer
 from pixsim.scene.guard.own_tracer import OwnTracer
-from pixsim.scene.job import Job
+from pixsim.scene.job import TraceJob
 from pixsim.scene.mitsuba import speaking_mitsuba
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import Renderer
@@ -128,9 +128,11 @@ def test_machine_without_card_starts_nothing(fresh: pytest.MonkeyPatch, tmp_path
     fresh.setattr(graphics, "NODES", (str(tmp_path / "nvidiactl"),))
     fresh.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("started a process"))
     fresh.setattr(graphics, "loaded_driver", lambda: pytest.fail("loaded a library"))
-    assert graphics.verdict() == graphics.Verdict(graphics.NO_CARD)
-    fresh.setattr(variant, "_for_processors", lambda _: (variant.Choice("llvm_ad_spectral", "lib", "system, LLVM 19"), ""))
-    assert variant.choose() == variant.Choice("llvm_ad_spectral", "lib", f"system, LLVM 19; no graphics card: {graphics.NO_CARD}")
+    assert graphics.verdict() == graphics.GraphicsTrial(graphics.NO_CARD)
+    fresh.setattr(variant, "_for_processors", lambda _: (variant.ChosenVariant("llvm_ad_spectral", "lib", "system, LLVM 19"), ""))
+    assert variant.choose() == variant.ChosenVariant(
+        "llvm_ad_spectral", "lib", f"system, LLVM 19; no graphics card: {graphics.NO_CARD}"
+    )
 
 
 def test_machine_without_driver_starts_nothing(fresh: pytest.MonkeyPatch, tmp_path: Path):
@@ -219,7 +221,7 @@ def test_processes_that_render_without_card_do_not_start_driver(which: str, code
 
 def test_card_that_fails_to_start_fails_its_trial(driver: pytest.MonkeyPatch, tmp_path: Path):
     """All of Dr.Jit, with a driver that shows a card which then fails: the process that would trace dies, and no other."""
-    job = Job("cuda_ad_spectral", '<scene version="3.0.0"/>', (None,), 0, {}, None, ())
+    job = TraceJob("cuda_ad_spectral", '<scene version="3.0.0"/>', (None,), 0, {}, None, ())
     with pytest.raises(PixsimError, match=r"the graphics card or its driver ended Mitsuba's process \(SIGABRT\)"):
         ChildTracer(job).sample_count("independent", 4)
 
@@ -229,7 +231,7 @@ def test_card_that_fails_to_start_fails_its_trial(driver: pytest.MonkeyPatch, tm
 
 def test_card_that_works_is_tried_once(machine: Machine):
     with pytest.warns(UserWarning, match=r"the graphics card \(NVIDIA of a test, 8.0 GiB, CUDA 12.8\) passed its trial"):
-        assert graphics.verdict() == graphics.Verdict(None, CARD, machine.now_s)
+        assert graphics.verdict() == graphics.GraphicsTrial(None, CARD, machine.now_s)
     assert machine.tries == ["driver", "render cuda_ad_spectral"]
     machine.now_s += 1e9
     with warnings.catch_warnings():
@@ -293,7 +295,7 @@ def test_other_driver_or_visible_cards_are_tried(machine: Machine):
 def test_without_cache_nothing_is_tried(machine: Machine, name: str, value: str):
     """Or each process would try, and each worker of a study; `pixsim doctor` does."""
     machine.patch.setenv(name, value)
-    assert graphics.verdict() == graphics.Verdict(graphics.NOT_KEPT)
+    assert graphics.verdict() == graphics.GraphicsTrial(graphics.NOT_KEPT)
     assert machine.tries == []
     assert graphics.verdict(again=True).fault is None
 
@@ -323,11 +325,11 @@ def test_doctor_tries_again(machine: Machine):
 
 
 def test_choose_prefers_card_and_reads_on_processors(machine: Machine, fresh: pytest.MonkeyPatch):
-    processors = variant.Choice("llvm_ad_spectral", "lib", "system, LLVM 19")
+    processors = variant.ChosenVariant("llvm_ad_spectral", "lib", "system, LLVM 19")
     fresh.setattr(variant, "_for_processors", lambda _: (processors, ""))
     with pytest.warns(UserWarning, match="passed"):
         chosen = variant.choose()
-    assert chosen == variant.Choice("cuda_ad_spectral", "lib", f"{CARD} passed its trial", processors)
+    assert chosen == variant.ChosenVariant("cuda_ad_spectral", "lib", f"{CARD} passed its trial", processors)
     assert chosen.reading == "llvm_ad_spectral"
     assert variant.choose("llvm_ad_spectral") == processors
     assert variant.choose("scalar_spectral").variant == "scalar_spectral"
@@ -337,11 +339,11 @@ def test_choose_prefers_card_and_reads_on_processors(machine: Machine, fresh: py
 
 def test_choose_without_working_card_says_why(machine: Machine, fresh: pytest.MonkeyPatch):
     machine.picture = Trial([], 1.0, -6, "")
-    fresh.setattr(variant, "_for_processors", lambda _: (variant.Choice("llvm_ad_spectral", "lib", "system, LLVM 19"), ""))
+    fresh.setattr(variant, "_for_processors", lambda _: (variant.ChosenVariant("llvm_ad_spectral", "lib", "system, LLVM 19"), ""))
     with pytest.warns(UserWarning, match="is not used"):
         chosen = variant.choose()
     reason = "system, LLVM 19; no graphics card: its trial render fails: dies of signal 6 (SIGABRT)"
-    assert chosen == variant.Choice("llvm_ad_spectral", "lib", reason)
+    assert chosen == variant.ChosenVariant("llvm_ad_spectral", "lib", reason)
 
 
 def test_choose_without_llvm_takes_card_without_warning(machine: Machine, fresh: pytest.MonkeyPatch):
@@ -366,13 +368,13 @@ def test_trees_are_equal_for_all_variants():
         assert len(trees) == 1
 
 
-CHOSEN = variant.Choice("cuda_ad_spectral", None, "of a test", variant.Choice(VARIANT, None, "of a test"))
+CHOSEN = variant.ChosenVariant("cuda_ad_spectral", None, "of a test", variant.ChosenVariant(VARIANT, None, "of a test"))
 
 
 class Card:
     """Traces in place of a card, until it fails."""
 
-    def __init__(self, job: Job, works: int) -> None:
+    def __init__(self, job: TraceJob, works: int) -> None:
         assert job.variant == "cuda_ad_spectral"
         self.own, self.works = OwnTracer(replace(job, variant=VARIANT)), works
 
@@ -390,7 +392,7 @@ def small() -> pixsim.Scene:
     return pixsim.load_scene("flat", variant=VARIANT, resolution=8, spp=4)
 
 
-def light(choice: variant.Choice) -> pixsim.SpectralImage:
+def light(choice: variant.ChosenVariant) -> pixsim.SpectralImage:
     return pixsim.render(replace(small(), choice=choice))
 
 
@@ -405,7 +407,7 @@ def test_rows_of_a_study_are_of_one_variant(monkeypatch: pytest.MonkeyPatch):
     """A study that goes on where another variant traces evaluates anew, though the pictures are equal here."""
     monkeypatch.setattr(tracer, "ChildTracer", lambda job, ends_at_s: Card(job, 99))
 
-    def keys(choice: variant.Choice) -> set[str]:
+    def keys(choice: variant.ChosenVariant) -> set[str]:
         (series,) = series_of(tiny(), scenes_of(tiny(), light(choice), small().camera()))
         return set(series.fingerprints.keys(6.0, 2))
 
@@ -440,7 +442,7 @@ def test_cached_renders_are_of_one_variant(monkeypatch: pytest.MonkeyPatch, tmp_
     monkeypatch.setenv("PIXSIM_CACHE_DIR", str(tmp_path))
     arguments = [pixsim.Pixel(pitch_um=100.0)], pixsim.Exposure()
 
-    def kept(works: int, choice: variant.Choice) -> tuple[str, set[str]]:
+    def kept(works: int, choice: variant.ChosenVariant) -> tuple[str, set[str]]:
         before = set((tmp_path / "render").glob("*"))
         monkeypatch.setattr(tracer, "ChildTracer", lambda job, ends_at_s: Card(job, works))
         scene = replace(small(), choice=choice)

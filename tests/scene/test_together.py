@@ -19,7 +19,7 @@ from pixsim.scene import renderer
 from pixsim.scene.bands import Fit, passes, window_pulse
 from pixsim.scene.guard.child import ChildTracer
 from pixsim.scene.guard.own_tracer import OwnTracer
-from pixsim.scene.job import Job
+from pixsim.scene.job import TraceJob
 from pixsim.scene.mitsuba import import_mitsuba, parse
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import Renderer, passes_of
@@ -86,7 +86,7 @@ def tracer_of(scale: float, offset: float, sizes: tuple[int, int], plugin: str =
         value="360:{offset}, 830:{offset + 470 * scale}"/></emitter></scene>"""
     sensor = next(index for index, node in enumerate(parse(text, LLVM).nodes) if node.type.name == "Sensor")
     lens, integrator = {"type": "perspective", "fov": 20.0}, {"type": plugin, "max_depth": 2}
-    return OwnTracer(Job(LLVM, text, (None,), sensor, lens, integrator, (), sizes, (passes_of(fit),))), fit
+    return OwnTracer(TraceJob(LLVM, text, (None,), sensor, lens, integrator, (), sizes, (passes_of(fit),))), fit
 
 
 @pytest.mark.parametrize("plugin", ["path", "prb"])

@@ -17,7 +17,7 @@ from pixsim.scene.mitsuba import parse
 from pixsim.scene.packaged import packaged_scenes
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.scene import load_scene
-from pixsim.scene.tree import Table, children, parse_tree, tree_of
+from pixsim.scene.tree import SpectrumTable, children, parse_tree, tree_of
 from pixsim.sensor.exposure import Exposure
 
 VARIANT = "scalar_spectral"
@@ -41,7 +41,7 @@ def agree(mine: Any, theirs: Any) -> bool:
     match mine:
         case np.ndarray():
             return np.array_equal(mine, np.array(theirs))
-        case Table():
+        case SpectrumTable():
             same = (mine.wavelengths, mine.values) == (list(theirs.wavelengths), list(theirs.values))
             return same and mine.uniform == theirs.is_uniform()
     return type(mine) is type(theirs) and mine == theirs

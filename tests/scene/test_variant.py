@@ -84,7 +84,7 @@ def test_find_llvm_oldest_version_is_17(tmp_path, fresh, major, usable):
     assert variant.llvm_version(library) == major
     fresh.setenv(variant.LLVM_VARIABLE, library)
     if usable:
-        chosen = variant.Choice("llvm_ad_spectral", library, f"{variant.LLVM_VARIABLE}, LLVM {major}")
+        chosen = variant.ChosenVariant("llvm_ad_spectral", library, f"{variant.LLVM_VARIABLE}, LLVM {major}")
         assert variant.choose("llvm_ad_spectral") == chosen
     else:
         with pytest.raises(PixsimError, match=r"which is version 16; allowed: LLVM 17 or newer\. Unset it"):

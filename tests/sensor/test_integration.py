@@ -17,7 +17,7 @@ from pixsim.base.errors import PixsimError
 from pixsim.light.spectral import SpectralImage, photons_per_joule
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import Tiling, camera_with_lens, fitted_wavefronts
-from pixsim.optics.field_blur import Light
+from pixsim.optics.field_blur import ChannelWavefronts
 from pixsim.optics.lens_options import LensOptions
 from pixsim.sensor import integration
 from pixsim.sensor.integration import (
@@ -424,7 +424,7 @@ def test_each_colour_is_blurred_by_the_psf_of_its_own_light() -> None:
     image = SpectralImage(nm, 20.0, pitch_um, factors=(np.ones((1, nm.size)), picture[None]))
     at_um = [(place[axis] - 64) * pitch_um for axis in (1, 0)]
     fronts = fitted_wavefronts(camera, tuple(nm.tolist()), tiling.nodes)
-    single = [point_spread(Light([front], np.ones(1)), *at_um, pitch_um, cells).kernel for front in fronts]
+    single = [point_spread(ChannelWavefronts([front], np.ones(1)), *at_um, pitch_um, cells).kernel for front in fronts]
     around = tuple(slice(middle - cells // 2, middle + cells // 2 + 1) for middle in place)
     found = []
     for weight in channels:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import pixsim
+from pixsim.base.errors import PixsimError
 from pixsim.measure.datasheet import make_datasheet
 from pixsim.measure.experiment import SHAPE
 from pixsim.scene.plan import decide_noise
@@ -84,6 +85,37 @@ def test_a_new_source_stands_in_every_closed_form(is_temporal: bool, along: Any,
     expected["offsets"] = 0.0 if is_temporal else 900.0
     assert added == {name: pytest.approx(value, rel=1e-9) for name, value in expected.items()}
     assert "a new source" in decide_noise(physics, full=True).reason
+
+
+@pytest.mark.parametrize(("is_temporal", "along"), [(True, "pixel"), (True, "row"), (False, "pixel"), (False, "column")])
+def test_a_new_source_is_drawn_as_closed_forms_have_it(is_temporal: bool, along: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A source of 30 e-, shared along its lines, and the same in another frame if it is fixed."""
+    physics = derive(Pixel(**SHEET))
+    alone_e2 = float(frame_variance_dn2(100.0, 0.01, physics)) / physics.dn_per_e**2
+    new = NoiseSource("a new source", lambda _: 30.0, is_temporal=is_temporal, along=along)
+    monkeypatch.setattr("pixsim.sensor.noise.SOURCES", (*SOURCES, new))
+    assert float(frame_variance_dn2(100.0, 0.01, physics)) / physics.dn_per_e**2 == pytest.approx(alone_e2 + 900.0, rel=1e-12)
+    sensor = sample_sensor(physics, (COLUMNS, ROWS) if along == "column" else (ROWS, COLUMNS), np.random.default_rng(5))
+    frames = [read_out(np.full(sensor.shape, 100.0), 0.01, sensor, np.random.default_rng(seed)) for seed in (9, 10)]
+    noise_e = [(frame - physics.pixel.black_level_dn) / physics.dn_per_e - 100.0 for frame in frames]
+    first, second = (each.mean(axis={"row": 1, "column": 0}[along]) if along != "pixel" else each.ravel() for each in noise_e)
+    assert within(first**2, 900.0 + alone_e2 / (1 if along == "pixel" else COLUMNS))
+    assert within(first * second, 0.0 if is_temporal else 900.0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        ({"is_temporal": True, "grows_with": "light"}, "temporal noise that grows with light charge; allowed: temporal noise that"),
+        ({"grows_with": "dark"}, "a fixed pattern that grows with dark charge, without a map.*drawn_from"),
+        ({"grows_with": "light", "along": "column", "drawn_from": {"prnu": 0.0}}, "a fixed pattern of single pixels"),
+        ({"along": "row"}, "got a fixed pattern along each row; allowed: a fixed pattern of single pixels or along each column"),
+        ({"is_temporal": True, "along": "column"}, "got temporal noise along each column; allowed: .* or along each row"),
+    ],
+)
+def test_a_source_that_no_frame_would_have_is_refused(kind: dict[str, Any], message: str) -> None:
+    with pytest.raises(PixsimError, match=f"the noise source 'transfer noise': .*{message}"):
+        NoiseSource("transfer noise", lambda _: 1.0, **kind)
 
 
 def residual_e2(physics: PixelPhysics) -> float:

@@ -10,7 +10,21 @@ from helpers.browser import assert_fits, needs_browser
 from helpers.looks import Elements
 
 from pixsim.show import render
-from pixsim.show.document import Answer, Beside, Block, Document, Link, Listed, Note, Plot, Section, Strong, Table, Verdict, pairs
+from pixsim.show.document import (
+    Answer,
+    Beside,
+    Block,
+    Document,
+    Link,
+    Listed,
+    Note,
+    Plot,
+    Section,
+    Strong,
+    Table,
+    VerdictText,
+    pairs,
+)
 from pixsim.show.figures import new_figure, own_style
 from pixsim.show.pages import Plate
 
@@ -28,7 +42,7 @@ def plate() -> Plate:
 
 TABLE = Table("sizes", HEAD, ROWS, EVIL, words=(2,), stacks=True)
 BLOCKS: tuple[Block, ...] = (
-    (f"{EVIL}, ", Strong("5.3 µm"), " in ", Link(EVIL, 'a "b".csv'), " is ", Verdict("good", True)),
+    (f"{EVIL}, ", Strong("5.3 µm"), " in ", Link(EVIL, 'a "b".csv'), " is ", VerdictText("good", True)),
     *(Listed((EVIL, "second")), TABLE, Beside((pairs("versions", {"python": EVIL}),)), Plot(plate), Note(EVIL)),
 )
 

@@ -12,7 +12,7 @@ from scipy.stats import multivariate_normal, qmc
 from pixsim.base.errors import PixsimError
 from pixsim.studies.indices import (
     LEAST_Q2,
-    FirstOrder,
+    FirstOrderIndices,
     Index,
     Marginal,
     Process,
@@ -246,7 +246,9 @@ def test_first_order_of_rough_function_is_withheld() -> None:
 
 
 def test_first_order_of_constant_is_withheld() -> None:
-    assert first_order(points(16, 2), np.full(16, 3.0), dict.fromkeys("ab", UNIFORM)) == FirstOrder(withheld="it does not vary")
+    assert first_order(points(16, 2), np.full(16, 3.0), dict.fromkeys("ab", UNIFORM)) == FirstOrderIndices(
+        withheld="it does not vary"
+    )
     first, total = total_indices(np.full(16, 3.0), ["a", "b"])
     assert shares(first) + shares(total) == [0.0] * 4
 

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from pixsim.verification import stability
-from pixsim.verification.stability import Case, compare
+from pixsim.verification.stability import ExtremeCase, compare
 
 
 @pytest.fixture(scope="module", params=stability.ROOMS)
-def cases(request: pytest.FixtureRequest) -> list[Case]:
+def cases(request: pytest.FixtureRequest) -> list[ExtremeCase]:
     return list(stability.cases_of(request.param))
 
 
-def test_cases_of_each_module_pass(cases: list[Case]) -> None:
+def test_cases_of_each_module_pass(cases: list[ExtremeCase]) -> None:
     wrong = [case for case in cases if not case.passed]
     assert cases
     assert not wrong, "\n".join(

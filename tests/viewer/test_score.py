@@ -174,7 +174,7 @@ def test_memory_of_large_film_is_bounded(monkeypatch):
         "pixels": (lambda: integrate_pixels(rate, *grid), 0.4, 0.8),
         "pixels on demand": (lambda: integrate_pixels(on_demand, *grid), 0.4, 0.8),
         "ideal image": (lambda: displays.ideal_luminance(image, CAMERA, physics, display, edges_um), 1.0, 1.6),
-        "white": (lambda: score.white_header([score.Seen(silent, CAMERA, physics)], display), 1.0, 1.6),
+        "white": (lambda: score.white_header([score.SeenPicture(silent, CAMERA, physics)], display), 1.0, 1.6),
         "fall-off": (lambda: optics.field_factor((n, n), 1.0, 4.0, 4.0, 0.0), 1.0, 1.3),
     }
     with pytest.warns(UserWarning, match="does not define its white"):

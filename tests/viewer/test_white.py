@@ -28,7 +28,7 @@ from pixsim.studies.light_level import LightLevel
 from pixsim.viewer.develop import rendition_of
 from pixsim.viewer.display import XYZ_FROM_RGB
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.score import Seen, fraction_beyond_white, ideal_on_dots, white_header
+from pixsim.viewer.score import SeenPicture, fraction_beyond_white, ideal_on_dots, white_header
 
 NM = np.arange(405.0, 900.0, 10.0)
 CAMERA, DISPLAY = Camera(focal_length_mm=4.0, die_mm=0.32), Display(dots=64)
@@ -64,7 +64,7 @@ def test_at_most_one_per_cent_of_the_ideal_image_is_beyond_an_unstated_white(lig
     """And more than that is beyond the next smaller number of two digits."""
     image, physics = picture(LIGHTS[light]), derive(PIXELS[sensor])
     with pytest.warns(UserWarning, match="does not define its white"):
-        white = white_header([Seen(image, CAMERA, physics)], DISPLAY)["luminance_cd_per_m2"]
+        white = white_header([SeenPicture(image, CAMERA, physics)], DISPLAY)["luminance_cd_per_m2"]
     unit = 10.0 ** (math.floor(math.log10(white)) - 1)
     shares = []
     for cd_per_m2 in (white, white - unit):
@@ -103,13 +103,13 @@ def test_run_and_evaluate_take_one_white_and_speak_to_their_caller(tmp_path: Pat
 def test_refusal_of_a_dark_picture_speaks_to_its_caller() -> None:
     image, physics = picture(LIGHTS["daylight"], np.zeros((64, 64))), derive(PIXELS["silicon"])
     with pytest.raises(pixsim.PixsimError, match=r"too dark to estimate it.*Set Display\(white_cd_per_m2=…\)\."):
-        white_header([Seen(image, CAMERA, physics)], DISPLAY)
+        white_header([SeenPicture(image, CAMERA, physics)], DISPLAY)
     with command_line(), pytest.raises(pixsim.PixsimError, match=r"Set --display\.white-cd-per-m2\."):
-        white_header([Seen(image, CAMERA, physics)], DISPLAY)
+        white_header([SeenPicture(image, CAMERA, physics)], DISPLAY)
 
 
 def test_sensors_share_the_largest_of_their_whites() -> None:
-    seen = [Seen(picture(LIGHTS["2856 K"]), CAMERA, derive(pixel)) for pixel in PIXELS.values()]
+    seen = [SeenPicture(picture(LIGHTS["2856 K"]), CAMERA, derive(pixel)) for pixel in PIXELS.values()]
     with pytest.warns(UserWarning, match="the largest of these sensors'"):
         white = white_header(seen, DISPLAY)
     with pytest.warns(UserWarning, match="in the sensor's response, rounded up"):
@@ -138,7 +138,7 @@ def test_sensors_of_a_comparison_share_one_white(tmp_path: Path) -> None:
     first, result = white(files)
     assert first == white(files[::-1])[0]
     for sensor in result.sensors:
-        seen = Seen(
+        seen = SeenPicture(
             sensor.irradiance, sensor.sensor.camera, sensor.score.physics, result.shown.lineup.border_um(sensor.sensor.camera)
         )
         assert np.mean(seen.amount(result.shown.lineup.settings.display) > first) <= 0.01

@@ -96,7 +96,7 @@ def _plain(number: Decimal) -> str:
 def inspect_asset(path: Path, kind: str, plugin: str, shape_index: int = 0) -> None:
     """Raise PixsimError if a picture, mesh or volume is not one that Mitsuba can read within bounds.
 
-    kind : of the file, as in `plugins.Rule`
+    kind : of the file, as in `plugins.Allowed`
     plugin : that reads it
     """
     inspections: dict[str, Callable[[Path], str | None]] = {"picture": inspect_picture, "volume": _inspect_volume}

@@ -29,7 +29,7 @@ import pixsim
 from pixsim.base.caller import setting
 from pixsim.base.children import safe_variables
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.scene.job import Job, OutOfTimeError
+from pixsim.scene.job import OutOfTimeError, TraceJob
 from pixsim.scene.variants.graphics import CUDA
 
 ENDED_S = 10.0  # in which a killed process ends
@@ -46,7 +46,7 @@ class _Child:
         self.owner, self.on_card = os.getpid(), on_card
         self.process: subprocess.Popen[bytes] | None = None
         self.lock = threading.Lock()
-        self.loaded: Job | None = None
+        self.loaded: TraceJob | None = None
         self.pictures = _memory_file()
         requests, self.requests = os.pipe()
         self.replies, replies = os.pipe()
@@ -199,7 +199,7 @@ class ChildTracer:
     ends_at_s : returns the time of `time.monotonic` at which the child is killed, with an `OutOfTimeError`; None waits for it
     """
 
-    def __init__(self, job: Job, ends_at_s: Callable[[], float | None] = lambda: None) -> None:
+    def __init__(self, job: TraceJob, ends_at_s: Callable[[], float | None] = lambda: None) -> None:
         self.job, self.ends_at_s = job, ends_at_s
 
     def _ask(self, request: dict[str, Any], picture: tuple[int, int] | None = None, most_channels: int = MAX_CHANNELS) -> Any:

@@ -42,7 +42,7 @@ TO_ESCAPE = re.compile(r"[^ !#$%'-;=?-~]")
 
 
 @dataclass(frozen=True)
-class Node:
+class SceneElement:
     """An element of a scene, with its parameters and includes resolved.
 
     file, line : where it is written, for messages
@@ -52,7 +52,7 @@ class Node:
 
     tag: str
     attributes: dict[str, str]
-    children: tuple[Node, ...]
+    children: tuple[SceneElement, ...]
     file: Path
     line: int
     parameter: str = ""
@@ -80,7 +80,7 @@ class SceneFiles:
     names: set[str] = field(default_factory=set)
     defaults: dict[str, str] = field(default_factory=dict)
     folders: list[Path] = field(default_factory=list)
-    root: Node | None = None
+    root: SceneElement | None = None
     _values: dict[str, str] = field(default_factory=dict)
     _left_bytes: int = MAX_XML
     _left_expanded: int = MAX_EXPANDED
@@ -173,7 +173,7 @@ def _after(text: str, end: str, start: int, path: Path) -> int:
     return at + len(end)
 
 
-def _read(path: Path, scene: SceneFiles, includes_deep: int, deep: int) -> Node:
+def _read(path: Path, scene: SceneFiles, includes_deep: int, deep: int) -> SceneElement:
     """Return the root of a file; `deep` elements and `includes_deep` files are around it."""
     text = read_text(path, "scene", ALLOWED, max(scene._left_bytes, 0))
     scene._left_bytes -= len(text)
@@ -182,7 +182,7 @@ def _read(path: Path, scene: SceneFiles, includes_deep: int, deep: int) -> Node:
     text = without_comments(text, path)
     parser = expat.ParserCreate("utf-8")
     # For each element that is open: what it will be, and its children so far.
-    open_elements: list[tuple[str, dict[str, str], int, str, list[Node]]] = [("", {}, 0, "", [])]
+    open_elements: list[tuple[str, dict[str, str], int, str, list[SceneElement]]] = [("", {}, 0, "", [])]
 
     def is_typed(parameter: str) -> bool:
         return bool(parameter) and all(name in scene.given for name in parameter.split(", "))
@@ -200,7 +200,7 @@ def _read(path: Path, scene: SceneFiles, includes_deep: int, deep: int) -> Node:
             if root.tag != "scene":  # an object takes the name that the include gives it
                 named = {key: value for key, value in root.attributes.items() if key not in ("version", "name")}
                 named |= {"name": attributes["name"]} if "name" in attributes else {}
-                root = Node(root.tag, named, root.children, root.file, root.line)
+                root = SceneElement(root.tag, named, root.children, root.file, root.line)
             open_elements[-1][-1].extend(root.children if root.tag == "scene" else (root,))
         elif tag == "path":
             _take_folder(attributes.get("value", ""), path, scene)
@@ -210,7 +210,7 @@ def _read(path: Path, scene: SceneFiles, includes_deep: int, deep: int) -> Node:
     def ends(_: str) -> None:
         tag, attributes, line, parameter, children = open_elements.pop()
         if tag not in ("default", "include", "path"):
-            open_elements[-1][-1].append(Node(tag, attributes, tuple(children), path, line, parameter, is_typed(parameter)))
+            open_elements[-1][-1].append(SceneElement(tag, attributes, tuple(children), path, line, parameter, is_typed(parameter)))
         elif children:
             raise invalid(f"scene '{path}'", f"an element within <{tag}> in line {line}", "none")
 
@@ -236,7 +236,7 @@ def _read(path: Path, scene: SceneFiles, includes_deep: int, deep: int) -> Node:
     return root
 
 
-def _check_version(root: Node) -> None:
+def _check_version(root: SceneElement) -> None:
     version = root.attributes.get("version", "")
     numbers = re.fullmatch(r"(\d{1,4})\.(\d{1,4})\.(\d{1,4})", version)
     if numbers is None or tuple(map(int, numbers.groups())) < OLDEST_VERSION:
@@ -289,14 +289,14 @@ def _included(name: str, written: str, path: Path, scene: SceneFiles, includes_d
     return file
 
 
-def written(root: Node) -> str:
+def written(root: SceneElement) -> str:
     """Return a tree as XML in ASCII, for Mitsuba: no comment, DOCTYPE, processing instruction, include or parameter."""
     pieces: list[str] = []
     _write(root, pieces)
     return "".join(pieces)
 
 
-def _write(node: Node, pieces: list[str]) -> None:
+def _write(node: SceneElement, pieces: list[str]) -> None:
     attributes = "".join(f' {name}="{_escaped(value)}"' for name, value in node.attributes.items())
     if not node.children:
         pieces.append(f"<{node.tag}{attributes}/>")

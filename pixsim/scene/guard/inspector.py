@@ -17,8 +17,8 @@ from pixsim.base.errors import did_you_mean, excerpt, invalid, quoted
 from pixsim.light.spectral import HIGH_NM, LOW_NM
 from pixsim.light.tables import unit_hint
 from pixsim.scene.guard.assets import NUMBER, found, inspect_asset, metals, spectrum_value
-from pixsim.scene.guard.files import Node, SceneFiles, check_references, read_scene, written
-from pixsim.scene.guard.plugins import LARGEST, MAX_ELEMENTS, PLUGINS, SMALLEST, Plugin, Rule
+from pixsim.scene.guard.files import SceneElement, SceneFiles, check_references, read_scene, written
+from pixsim.scene.guard.plugins import LARGEST, MAX_ELEMENTS, PLUGINS, SMALLEST, Allowed, Plugin
 from pixsim.scene.guard.strength import with_strength
 from pixsim.scene.packaged import packaged_folder
 from pixsim.scene.textures import check_share
@@ -97,9 +97,11 @@ class _Inspector:
         self.kinds: list[str] = []  # of each object, in the order of the text
         self.ids: dict[str, int] = {}
         self.children: list[list[int]] = []
-        self.references: list[tuple[int, str, tuple[str, ...], bool, Node]] = []  # (object, id, allowed kinds, a share, where)
+        self.references: list[
+            tuple[int, str, tuple[str, ...], bool, SceneElement]
+        ] = []  # (object, id, allowed kinds, a share, where)
 
-    def scene(self, root: Node) -> Node:
+    def scene(self, root: SceneElement) -> SceneElement:
         if root.tag != "scene" or root.attributes.get("type", "scene") != "scene":
             raise invalid(f"scene '{root.file}'", f"another element in {root.place}", "<scene> as the first element")
         version = {"version": root.attributes["version"]}
@@ -132,7 +134,7 @@ class _Inspector:
                     check_share(*highest)
                 left += self.children[index]
 
-    def object(self, node: Node, kind: str) -> Node:
+    def object(self, node: SceneElement, kind: str) -> SceneElement:
         """Return an object with its children inspected."""
         _check_attributes(node, *OF_OBJECTS)
         name = node.attributes["type"]
@@ -165,7 +167,7 @@ class _Inspector:
             raise invalid(name, f"no '{missing}' in {node.place}", f'<string name="{missing}" value="…"/>')
         return replace(node, children=tuple(children))
 
-    def child(self, node: Node, of: Node, plugin: Plugin, owner: int) -> Node:
+    def child(self, node: SceneElement, of: SceneElement, plugin: Plugin, owner: int) -> SceneElement:
         """Return a child of an object: a property, a reference, or another object."""
         kind = "texture" if node.tag == "spectrum" and "type" in node.attributes else node.tag
         if node.tag == "alias":
@@ -210,13 +212,13 @@ class _Inspector:
             raise invalid(what, f"an element in {node.children[0].place}", "no element within it")
         return self.value(node, rule, what, of, owner)
 
-    def unknown(self, name: str, node: Node, parent: str, plugin: Plugin, got: str) -> None:
+    def unknown(self, name: str, node: SceneElement, parent: str, plugin: Plugin, got: str) -> None:
         known = [*plugin.properties, *(f"<{kind}>" for kind in plugin.holds)]
         raise invalid(
             parent, f"{got} in {node.place}", ", ".join(known) or "nothing within it", did_you_mean(name, plugin.properties)
         )
 
-    def value(self, node: Node, rule: Rule, what: str, of: Node, owner: int) -> Node:
+    def value(self, node: SceneElement, rule: Allowed, what: str, of: SceneElement, owner: int) -> SceneElement:
         """Return a property of an object, `owner`, with its value inspected, and its file found."""
         attributes = node.attributes
         value = attributes.get("value", "")
@@ -256,7 +258,7 @@ class _Inspector:
             self.highest.setdefault(owner, []).append((highest, what, node.place))
         return node
 
-    def string(self, node: Node, rule: Rule, what: str, of: Node) -> Node:
+    def string(self, node: SceneElement, rule: Allowed, what: str, of: SceneElement) -> SceneElement:
         value = node.attributes["value"]
         if rule.file == "metal":
             if value not in metals():
@@ -288,7 +290,7 @@ def _split(value: str) -> list[str]:
     return value.replace(",", " ").split()
 
 
-def _check_attributes(node: Node, needed: Iterable[str], others: Iterable[str]) -> None:
+def _check_attributes(node: SceneElement, needed: Iterable[str], others: Iterable[str]) -> None:
     if wrong := [name for name in node.attributes if name not in (*needed, *others)]:
         allowed = ", ".join((*needed, *others))
         raise invalid(
@@ -307,7 +309,7 @@ def _check_attributes(node: Node, needed: Iterable[str], others: Iterable[str]) 
             )
 
 
-def _check_numbers(texts: list[str], rule: Rule, what: str, node: Node, counts: tuple[int, ...] | None = (1,)) -> float:
+def _check_numbers(texts: list[str], rule: Allowed, what: str, node: SceneElement, counts: tuple[int, ...] | None = (1,)) -> float:
     """Return the largest magnitude. Raises PixsimError if a text is no number within the bounds, or for a count not in `counts`."""
     if counts is not None and len(texts) not in counts:
         raise invalid(what, f"{len(texts)} numbers in {node.place}", " or ".join(map(str, counts)))
@@ -327,7 +329,7 @@ def _check_numbers(texts: list[str], rule: Rule, what: str, node: Node, counts: 
     return highest
 
 
-def _check_table(value: str, rule: Rule, what: str, node: Node) -> float:
+def _check_table(value: str, rule: Allowed, what: str, node: SceneElement) -> float:
     """Check the value of a <spectrum>, a number or pairs of a wavelength and a value; return its largest magnitude."""
     words = _split(value)
     if len(words) == 1 and ":" not in words[0]:
@@ -336,7 +338,7 @@ def _check_table(value: str, rule: Rule, what: str, node: Node) -> float:
     if len(pairs) < 2 or any(len(pair) != 2 for pair in pairs):
         raise invalid(what, f"{excerpt(value, typed=node.typed)} in {node.place}", 'a number, or pairs such as "400:0.1, 700:0.2"')
     wavelengths = [pair[0] for pair in pairs]
-    _check_numbers(wavelengths, Rule((), 0, LARGEST), what, node, None)
+    _check_numbers(wavelengths, Allowed((), 0, LARGEST), what, node, None)
     if any(not float(one) < float(other) for one, other in pairwise(wavelengths)):
         raise invalid(what, f"wavelengths in {node.place} that do not rise", "rising wavelengths in nm")
     nm = [float(each) for each in wavelengths]
@@ -346,19 +348,19 @@ def _check_table(value: str, rule: Rule, what: str, node: Node) -> float:
     return _check_numbers([pair[1] for pair in pairs], rule, what, node, None)
 
 
-def _check_vector(node: Node, what: str, all_three: bool = False) -> None:
+def _check_vector(node: SceneElement, what: str, all_three: bool = False) -> None:
     attributes = node.attributes
     if "value" in attributes:
         if any(axis in attributes for axis in "xyz"):
             raise invalid(what, f"value and x, y or z in {node.place}", "one of them")
-        _check_numbers(_split(attributes["value"]), Rule(()), what, node, (1, 3))
+        _check_numbers(_split(attributes["value"]), Allowed(()), what, node, (1, 3))
         return
     if all_three and any(axis not in attributes for axis in "xyz"):
         raise invalid(what, f"<{node.tag}> without x, y or z in {node.place}", "all three, or a value")
-    _check_numbers([attributes[axis].strip() for axis in "xyz" if axis in attributes], Rule(()), what, node, None)
+    _check_numbers([attributes[axis].strip() for axis in "xyz" if axis in attributes], Allowed(()), what, node, None)
 
 
-def _check_step(step: Node, what: str) -> None:
+def _check_step(step: SceneElement, what: str) -> None:
     """Check a step of a transform."""
     if step.tag not in STEPS_OF_TRANSFORM:
         raise invalid(what, f"another element in {step.place}", ", ".join(f"<{tag}>" for tag in STEPS_OF_TRANSFORM))
@@ -367,10 +369,10 @@ def _check_step(step: Node, what: str) -> None:
         raise invalid(what, f"an element in {step.children[0].place}", "no element within it")
     if step.tag == "lookat":
         for name, value in step.attributes.items():
-            _check_numbers(_split(value), Rule(()), what, step, (3,) if value.strip() or name != "up" else (0,))
+            _check_numbers(_split(value), Allowed(()), what, step, (3,) if value.strip() or name != "up" else (0,))
     elif step.tag == "matrix":
-        _check_numbers(_split(step.attributes["value"]), Rule(()), what, step, (9, 16))
+        _check_numbers(_split(step.attributes["value"]), Allowed(()), what, step, (9, 16))
     else:
         _check_vector(step, what)
         if step.tag == "rotate":
-            _check_numbers([step.attributes["angle"].strip()], Rule(()), what, step)
+            _check_numbers([step.attributes["angle"].strip()], Allowed(()), what, step)

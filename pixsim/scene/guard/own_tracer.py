@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.scene.job import WAVELENGTHS, Job, Lamps, Passes
+from pixsim.scene.job import WAVELENGTHS, Lamps, Passes, TraceJob
 from pixsim.scene.mitsuba import drjit, parse, speaking_mitsuba
 from pixsim.scene.tree import REFERENCES, children, nodes_of, tree_of
 
@@ -27,7 +27,7 @@ _loaded: tuple[tuple[object, ...], list[tuple[Scene, SamplingIntegrator]]] | Non
 class OwnTracer:
     """Traces in this process."""
 
-    def __init__(self, job: Job) -> None:
+    def __init__(self, job: TraceJob) -> None:
         self.job = job
         self._sensor: tuple[Sensor, object] | None = None  # the last one, and what describes it
         self._tables: dict[int, tuple[UInt32, Float, Float, Float]] = {}  # in Mitsuba, of the passes of each scene

@@ -25,7 +25,7 @@ MAX_ELEMENTS |= dict.fromkeys(("shape", "bsdf", "texture", "film", "sampler", "r
 
 
 @dataclass(frozen=True)
-class Rule:
+class Allowed:
     """What a property may be.
 
     tags : elements that state it
@@ -54,42 +54,42 @@ class Rule:
 class Plugin:
     """The properties of a plugin, those that it needs, and the kinds of plugins that it may hold under any name."""
 
-    properties: dict[str, Rule] = field(default_factory=dict)
+    properties: dict[str, Allowed] = field(default_factory=dict)
     needs: tuple[str, ...] = ()
     holds: tuple[str, ...] = ()
 
 
-def number(low: float = -LARGEST, high: float = LARGEST) -> Rule:
-    return Rule(NUMBER_TAGS, low, high)
+def number(low: float = -LARGEST, high: float = LARGEST) -> Allowed:
+    return Allowed(NUMBER_TAGS, low, high)
 
 
-def whole(low: int, high: int) -> Rule:
-    return Rule(WHOLE_TAGS, low, high)
+def whole(low: int, high: int) -> Allowed:
+    return Allowed(WHOLE_TAGS, low, high)
 
 
-def words(*names: str) -> Rule:
-    return Rule(("string",), words=names)
+def words(*names: str) -> Allowed:
+    return Allowed(("string",), words=names)
 
 
-def file(kind: str) -> Rule:
-    return Rule(("string",), file=kind)
+def file(kind: str) -> Allowed:
+    return Allowed(("string",), file=kind)
 
 
-SCALE = Rule(NUMBER_TAGS, smallest=SMALLEST)
-FLAG = Rule(("boolean",))
-TRANSFORM = Rule(("transform",))
-PLACE = Rule(("point", "vector"))
-COLOUR = Rule(COLOUR_TAGS, smallest=SMALLEST, kinds=("texture",))
+SCALE = Allowed(NUMBER_TAGS, smallest=SMALLEST)
+FLAG = Allowed(("boolean",))
+TRANSFORM = Allowed(("transform",))
+PLACE = Allowed(("point", "vector"))
+COLOUR = Allowed(COLOUR_TAGS, smallest=SMALLEST, kinds=("texture",))
 SURFACE = replace(COLOUR, rgb_of_surface=True)
 SHARE = replace(SURFACE, is_share=True)
-NUMBERS = Rule(("string",), smallest=SMALLEST, pattern="numbers")
+NUMBERS = Allowed(("string",), smallest=SMALLEST, pattern="numbers")
 # A spectrum is refused later, with its reason: Mitsuba has one index for all wavelengths.
-INDEX = Rule(("string", *COLOUR_TAGS), 0, 1e3, pattern=r"[\w .+-]{1,64}", kinds=("texture",))
-VOLUME = Rule(COLOUR_TAGS, 0, smallest=SMALLEST, kinds=("volume",))
-METAL = Rule(("string",), file="metal")
+INDEX = Allowed(("string", *COLOUR_TAGS), 0, 1e3, pattern=r"[\w .+-]{1,64}", kinds=("texture",))
+VOLUME = Allowed(COLOUR_TAGS, 0, smallest=SMALLEST, kinds=("volume",))
+METAL = Allowed(("string",), file="metal")
 
 
-def more(properties: dict[str, Rule], *lists: dict[str, Rule]) -> dict[str, Rule]:
+def more(properties: dict[str, Allowed], *lists: dict[str, Allowed]) -> dict[str, Allowed]:
     """Return the properties with those of the other lists."""
     return {name: rule for each in (properties, *lists) for name, rule in each.items()}
 
@@ -108,7 +108,7 @@ OF_LENSES = more(
     OF_SENSORS,
     {
         "fov": number(), "fov_axis": words("x", "y", "diagonal", "smaller", "larger"),
-        "focal_length": Rule(("string",), pattern=r"\d{1,9}(\.\d{1,9})?(mm)?"),
+        "focal_length": Allowed(("string",), pattern=r"\d{1,9}(\.\d{1,9})?(mm)?"),
         "principal_point_offset_x": number(), "principal_point_offset_y": number(),
     },
 )  # fmt: skip
@@ -140,7 +140,7 @@ OF_PRINCIPLED = {
     "flatness": SURFACE, "eta": number(0, 1e3), "diffuse_reflectance_sampling_rate": number(0, 1e6),
 }  # fmt: skip
 OF_MEDIA = {
-    "albedo": replace(VOLUME, high=1.0), "sigma_t": replace(VOLUME, high=1e9), "scale": Rule(NUMBER_TAGS, 0, 1e9, SMALLEST),
+    "albedo": replace(VOLUME, high=1.0), "sigma_t": replace(VOLUME, high=1e9), "scale": Allowed(NUMBER_TAGS, 0, 1e9, SMALLEST),
     "sample_emitters": FLAG, "has_spectral_extinction": FLAG,
 }  # fmt: skip
 OF_MAPS = {"use_shadowing_function": FLAG, "flip_invalid_normals": FLAG}
@@ -207,7 +207,7 @@ PLUGINS: dict[str, dict[str, Plugin]] = {
             more(
                 OF_EMITTERS,
                 {
-                    "turbidity": number(1, 10), "albedo": Rule(COLOUR_TAGS, 0, 1, SMALLEST, kinds=("texture",)),
+                    "turbidity": number(1, 10), "albedo": Allowed(COLOUR_TAGS, 0, 1, SMALLEST, kinds=("texture",)),
                     "latitude": number(-90, 90), "longitude": number(-180, 180), "timezone": number(-24, 24),
                     "year": whole(1, 9999), "month": whole(1, 12), "day": whole(1, 31), "hour": number(0, 24),
                     "minute": number(0, 60), "second": number(0, 60), "sun_direction": PLACE, "sun_scale": SCALE,
@@ -262,14 +262,16 @@ PLUGINS: dict[str, dict[str, Plugin]] = {
     "texture": {
         "bitmap": Plugin(OF_PICTURES, needs=("filename",)),
         "checkerboard": Plugin({"color0": SURFACE, "color1": SURFACE, "to_uv": TRANSFORM}),
-        "mesh_attribute": Plugin({"name": Rule(("string",), pattern=r"(vertex|face)_\w{1,64}"), "scale": SCALE}, needs=("name",)),
+        "mesh_attribute": Plugin(
+            {"name": Allowed(("string",), pattern=r"(vertex|face)_\w{1,64}"), "scale": SCALE}, needs=("name",)
+        ),
         "volume": Plugin(holds=("volume",)),
         "uniform": Plugin(more(OF_TABLES, {"value": SCALE})),
         "regular": Plugin(more(OF_TABLES, {"values": NUMBERS, "range": replace(NUMBERS, low=LIGHT_NM[0], high=LIGHT_NM[1])})),
         "irregular": Plugin({"wavelengths": replace(NUMBERS, low=LIGHT_NM[0], high=LIGHT_NM[1]), "values": NUMBERS}),
-        "d65": Plugin({"scale": SCALE, "color": Rule(("rgb",), smallest=SMALLEST)}, holds=("texture",)),
+        "d65": Plugin({"scale": SCALE, "color": Allowed(("rgb",), smallest=SMALLEST)}, holds=("texture",)),
         "blackbody": Plugin(more(OF_TABLES, {"temperature": number(1, 1e7)})),
-        "srgb": Plugin({"color": Rule(("rgb",), smallest=SMALLEST, rgb_of_surface=True)}),
+        "srgb": Plugin({"color": Allowed(("rgb",), smallest=SMALLEST, rgb_of_surface=True)}),
     },
     "medium": {
         "homogeneous": Plugin(OF_MEDIA, holds=("phase",)),

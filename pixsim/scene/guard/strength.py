@@ -6,14 +6,14 @@ from dataclasses import replace
 
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.scene.contents import EMISSION
-from pixsim.scene.guard.files import Node
+from pixsim.scene.guard.files import SceneElement
 from pixsim.scene.illuminance import ILLUMINANCE
 
 # The property of each texture that is proportional to its light.
 POWERS = {"d65": "scale", "uniform": "value", "regular": "values", "irregular": "values"}
 
 
-def with_strength(node: Node, factor: float) -> Node:
+def with_strength(node: SceneElement, factor: float) -> SceneElement:
     """Return an inspected tree with the light of every emitter times a factor.
 
     Raises PixsimError for an emitter whose light is no number, table or D65.
@@ -24,7 +24,7 @@ def with_strength(node: Node, factor: float) -> Node:
     return replace(node, children=_with_scaled(node, name, node, factor))
 
 
-def _with_scaled(node: Node, name: str | None, emitter: Node, factor: float) -> tuple[Node, ...]:
+def _with_scaled(node: SceneElement, name: str | None, emitter: SceneElement, factor: float) -> tuple[SceneElement, ...]:
     """Return the children of an emitter or texture with that of one name scaled."""
     at = next((index for index, child in enumerate(node.children) if name and child.attributes.get("name") == name), None)
     if at is None and name == POWERS["d65"]:
@@ -48,6 +48,6 @@ def _times(value: str, factor: float) -> str:
     return ", ".join(f"{nm}{colon}{float(number) * factor!r}" for nm, colon, number in pairs)
 
 
-def _unscaled(emitter: Node) -> PixsimError:
+def _unscaled(emitter: SceneElement) -> PixsimError:
     got = f"an emitter '{emitter.attributes['type']}' in {emitter.place} whose light is no number, table or d65"
     return invalid(ILLUMINANCE, got, "emitters whose light is", "Give its light a parameter of its own, and set that.")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pixsim.scene.guard.child import ChildTracer
 from pixsim.scene.guard.own_tracer import OwnTracer
-from pixsim.scene.job import Job
+from pixsim.scene.job import TraceJob
 
 
 class Tracer(Protocol):
@@ -26,7 +26,7 @@ class Tracer(Protocol):
         """Return rows of the pictures of all pulses of a scene's `Passes`, (rows, columns, pulses); `spp` of each pass."""
 
 
-def tracer_of(job: Job, in_this_process: bool, ends_at_s: Callable[[], float | None] = lambda: None) -> Tracer:
+def tracer_of(job: TraceJob, in_this_process: bool, ends_at_s: Callable[[], float | None] = lambda: None) -> Tracer:
     """Return what traces a job: this process, or a child of it, which can be killed and whose crash ends nothing else.
 
     ends_at_s : as of `ChildTracer`

@@ -15,17 +15,17 @@ import numpy as np
 from pixsim.base.errors import PixsimError
 from pixsim.light.spectral import Span
 from pixsim.scene.guard.own_tracer import OwnTracer
-from pixsim.scene.job import Job, Lamps, Passes
+from pixsim.scene.job import Lamps, Passes, TraceJob
 
 
-def job_of(content: dict[str, Any]) -> Job:
+def job_of(content: dict[str, Any]) -> TraceJob:
     """Return a job from its JSON, in which keys are texts and tuples are lists."""
     lamps = [
         of and Lamps({int(node): (name, picture) for node, (name, picture) in of["pictures"].items()}, of["neutral"])
         for of in content["lamps"]
     ]
     passes = [of and Passes(of["step_nm"], of["pulses"], of["groups"], Span(**of["span"])) for of in content["passes"]]
-    return Job(**{**content, "lamps": tuple(lamps), "passes": tuple(passes)})
+    return TraceJob(**{**content, "lamps": tuple(lamps), "passes": tuple(passes)})
 
 
 def answer(tracer: OwnTracer | None, request: dict[str, Any], pictures: int) -> tuple[OwnTracer, dict[str, Any]]:

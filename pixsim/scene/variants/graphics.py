@@ -49,7 +49,7 @@ NOT_KEPT = f"the cache cannot keep the result of a trial; --variant {CUDA} takes
 
 
 @dataclass(frozen=True)
-class Verdict:
+class GraphicsTrial:
     """Why a graphics card is not used (None if it works), the card with its memory and driver, and when it was tried."""
 
     fault: str | None
@@ -108,16 +108,16 @@ def absent() -> str | None:
     return None
 
 
-def verdict(again: bool = False) -> Verdict:
+def verdict(again: bool = False) -> GraphicsTrial:
     """Return whether the graphics card works, from the cache or a trial; `again`: in any case from a trial."""
     if fault := absent():
-        return Verdict(fault)
+        return GraphicsTrial(fault)
     if not cache.limit_bytes() or machine.check_folder(cache.folder())[0]:
-        return tried() if again else Verdict(NOT_KEPT)  # or each process, and each worker of a study, would try
+        return tried() if again else GraphicsTrial(NOT_KEPT)  # or each process, and each worker of a study, would try
     key = _key()
-    known: list[Verdict] = []
+    known: list[GraphicsTrial] = []
 
-    def compute() -> Verdict:
+    def compute() -> GraphicsTrial:
         known.append(tried())
         return known[0]
 
@@ -133,7 +133,7 @@ def verdict(again: bool = False) -> Verdict:
     return verdict
 
 
-def told(verdict: Verdict) -> str:
+def told(verdict: GraphicsTrial) -> str:
     """What a user is told of a trial."""
     if verdict.fault is None:
         return (
@@ -142,17 +142,17 @@ def told(verdict: Verdict) -> str:
     return f"the graphics card is not used: {verdict.fault.removesuffix('.')}; `pixsim doctor` tries it again"
 
 
-def tried() -> Verdict:
+def tried() -> GraphicsTrial:
     """Try the driver, then a small picture, which is compared with its closed form."""
     now = time.time()
     driver = attempt("driver", limit_s=DRIVER_S)
     card = ", ".join(_words_of(driver.facts))
     if fault := driver_fault(driver):
-        return Verdict(fault, card, now, driver.returncode is None)
+        return GraphicsTrial(fault, card, now, driver.returncode is None)
     picture = attempt("render", CUDA, limit_s=PICTURE_S)
     if fault := picture_fault(picture):
-        return Verdict(f"its trial render fails: {fault}", card, now, picture.returncode is None)
-    return Verdict(None, card, now)
+        return GraphicsTrial(f"its trial render fails: {fault}", card, now, picture.returncode is None)
+    return GraphicsTrial(None, card, now)
 
 
 def driver_fault(driver: Trial) -> str | None:
@@ -202,8 +202,8 @@ def _key() -> str:
     return hashlib.blake2b(content.encode(), digest_size=16).hexdigest()
 
 
-def _from_json(content: dict[str, Any]) -> Verdict:
-    verdict = Verdict(**content)
+def _from_json(content: dict[str, Any]) -> GraphicsTrial:
+    verdict = GraphicsTrial(**content)
     if not isinstance(verdict.fault, str | None) or not isinstance(verdict.card, str):
         raise TypeError("no verdict")
-    return Verdict(verdict.fault, verdict.card, float(verdict.tried_s), bool(verdict.stopped))
+    return GraphicsTrial(verdict.fault, verdict.card, float(verdict.tried_s), bool(verdict.stopped))

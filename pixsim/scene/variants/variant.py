@@ -36,7 +36,7 @@ SYSTEM_PATTERNS = ("lib/*-linux-gnu/libLLVM*.so*", "lib/llvm-*/lib/libLLVM*.so*"
 
 
 @dataclass(frozen=True)
-class Choice:
+class ChosenVariant:
     """A variant, its LLVM library if any, and why it was chosen.
 
     processors : where a graphics card traces, what reads the scene and its spectra in this process: the driver never runs here
@@ -46,7 +46,7 @@ class Choice:
     variant: str
     llvm_path: str | None
     reason: str
-    processors: Choice | None = None
+    processors: ChosenVariant | None = None
     asked: bool = False
 
     @property
@@ -176,7 +176,7 @@ def find_llvm() -> tuple[str | None, str]:
 
 
 @lru_cache
-def choose(asked: str | None = None) -> Choice:
+def choose(asked: str | None = None) -> ChosenVariant:
     """Choose a variant, or check the requested one, and prepare its LLVM library; call before Mitsuba is imported.
 
     A graphics card that passed its trial is preferred, then LLVM. Falls back to `scalar_spectral` with a warning. Raises
@@ -185,23 +185,23 @@ def choose(asked: str | None = None) -> Choice:
     if asked is not None and asked not in VARIANTS:
         raise invalid("variant", f"'{asked}'", ", ".join(VARIANTS), did_you_mean(asked, VARIANTS))
     if asked == SCALAR:
-        return Choice(SCALAR, None, "requested")
+        return ChosenVariant(SCALAR, None, "requested")
     if asked == CUDA and (fault := graphics.absent()):
         raise invalid("variant", f"'{asked}', but {fault}", "a variant that runs here", UNUSABLE_HINT)
     processors, lacks = _for_processors(asked)
     if asked == CUDA:
-        return Choice(CUDA, processors.llvm_path, "requested", processors, asked=True)
+        return ChosenVariant(CUDA, processors.llvm_path, "requested", processors, asked=True)
     if asked is not None:
         return processors
     card = graphics.verdict()
     if card.fault is None:
-        return Choice(CUDA, processors.llvm_path, f"{card.card} passed its trial", processors)
+        return ChosenVariant(CUDA, processors.llvm_path, f"{card.card} passed its trial", processors)
     if lacks:
         warn(f"rendering with {SCALAR}, since {lacks}", MachineWarning)
     return replace(processors, reason=f"{processors.reason}; no graphics card: {card.fault}")
 
 
-def _for_processors(asked: str | None) -> tuple[Choice, str]:
+def _for_processors(asked: str | None) -> tuple[ChosenVariant, str]:
     """Return LLVM, or else scalar, and in that case what it lacks for LLVM and how to get it."""
     if "drjit" in sys.modules and not os.environ.get(LLVM_VARIABLE):
         # It is too late to choose a library, and scalar_spectral needs none.
@@ -209,13 +209,13 @@ def _for_processors(asked: str | None) -> tuple[Choice, str]:
         if asked == LLVM:
             raise invalid("variant", f"'{asked}' after Mitsuba was imported", SCALAR, f"Or {hint}.")
         cause = "Mitsuba was imported before its LLVM was checked"
-        return Choice(SCALAR, None, "Mitsuba was imported before pixsim could check its LLVM"), f"{cause}; {hint}"
+        return ChosenVariant(SCALAR, None, "Mitsuba was imported before pixsim could check its LLVM"), f"{cause}; {hint}"
     path, reason = find_llvm()
     if path is not None:
         os.environ[LLVM_VARIABLE] = path
         _reasons[path] = reason
-        return Choice(LLVM, path, reason), ""
+        return ChosenVariant(LLVM, path, reason), ""
     hint = f"for renders several times faster: pip install {LLVM_WHEEL} (or pixsim[llvm])"
     if asked == LLVM:
         raise invalid("variant", f"'{asked}', but {reason}", f"LLVM {OLDEST_LLVM} or newer", f"Install one, {hint}.")
-    return Choice(SCALAR, None, reason), f"{reason}; {hint}"
+    return ChosenVariant(SCALAR, None, reason), f"{reason}; {hint}"

@@ -1,6 +1,6 @@
 """Extreme cases whose answers are known independently of pixsim's code.
 
-Each module (`room`) has a function `cases` that yields `Case`s. `pixsim accuracy` lists them in a table, and the tests check
+Each module (`room`) has a function `cases` that yields `ExtremeCase`s. `pixsim accuracy` lists them in a table, and the tests check
 their limits. `source` names what they are compared with: a closed form, a limit, a conservation law, or a symmetry.
 """
 
@@ -27,7 +27,7 @@ ROOMS = ("optics", "spectra", "light", "sensor", "integration", "viewer", "photo
 
 
 @dataclass(frozen=True)
-class Case:
+class ExtremeCase:
     """One extreme case with a known answer.
 
     expected, got : of the element with the largest error
@@ -53,7 +53,9 @@ class Case:
         return asdict(self) | {"passed": self.passed}
 
 
-def compare(name: str, expected: ArrayLike, got: ArrayLike, allowed: float, source: str, scale: ArrayLike | None = None) -> Case:
+def compare(
+    name: str, expected: ArrayLike, got: ArrayLike, allowed: float, source: str, scale: ArrayLike | None = None
+) -> ExtremeCase:
     """A case from its worst element; without `scale` errors are relative to the expected value, and zeros must match exactly."""
     wanted, measured = np.broadcast_arrays(np.asarray(expected, float), np.asarray(got, float))
     difference = np.abs(measured - wanted)
@@ -62,10 +64,10 @@ def compare(name: str, expected: ArrayLike, got: ArrayLike, allowed: float, sour
     error = np.where(difference == 0, 0.0, np.where(unit > 0, difference / safe, np.inf))
     error = np.where(np.isnan(measured), np.nan, error)
     worst = int(np.argmax(np.where(np.isnan(error), np.inf, error)))
-    return Case("", name, float(wanted.flat[worst]), float(measured.flat[worst]), float(error.flat[worst]), allowed, source)
+    return ExtremeCase("", name, float(wanted.flat[worst]), float(measured.flat[worst]), float(error.flat[worst]), allowed, source)
 
 
-def compare_drawn(name: str, expected: ArrayLike, got: ArrayLike, error: ArrayLike, source: str, more: str = "") -> Case:
+def compare_drawn(name: str, expected: ArrayLike, got: ArrayLike, error: ArrayLike, source: str, more: str = "") -> ExtremeCase:
     """`compare` for random samples, with errors in units of their standard error."""
     return compare(name, expected, got, SIGMAS, f"{source}; {STATISTICAL}{more}", error)
 
@@ -75,9 +77,9 @@ def flat(arrays: Iterable[Array]) -> Array:
     return np.concatenate([array.ravel() for array in arrays])
 
 
-def cases_of(room: str) -> Iterator[Case]:
+def cases_of(room: str) -> Iterator[ExtremeCase]:
     """The cases of one module, each with the warnings raised during its evaluation."""
-    source: Callable[[], Iterator[Case]] = import_module(f"pixsim.verification.stability.{room}").cases
+    source: Callable[[], Iterator[ExtremeCase]] = import_module(f"pixsim.verification.stability.{room}").cases
     running = source()
     while True:
         with warnings.catch_warnings(record=True) as caught, np.errstate(all="warn", under="ignore"):
@@ -88,9 +90,9 @@ def cases_of(room: str) -> Iterator[Case]:
         yield replace(case, room=room, warned="; ".join(sorted({str(warning.message) for warning in caught})))
 
 
-def all_cases(report_progress: Callable[[float], None] | None = None) -> list[Case]:
+def all_cases(report_progress: Callable[[float], None] | None = None) -> list[ExtremeCase]:
     """The cases of all modules."""
-    result: list[Case] = []
+    result: list[ExtremeCase] = []
     for number, room in enumerate(ROOMS):
         result += cases_of(room)
         if report_progress:

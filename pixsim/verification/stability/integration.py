@@ -9,7 +9,7 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.sensor.integration import integrate_pixels
-from pixsim.verification.stability import Case, compare
+from pixsim.verification.stability import ExtremeCase, compare
 from pixsim.viewer.display import average_axis
 
 ALMOST = 1e-12
@@ -23,7 +23,7 @@ ROUNDED = 50 * EPS
 SUMMED = 4 * EPS  # for sums over all pixels, in which the spline's part cancels
 
 
-def cases() -> Iterator[Case]:
+def cases() -> Iterator[ExtremeCase]:
     picture = np.random.default_rng(0).uniform(0.5, 1.5, (SIDE, SIDE))
     for group in (_conservation, _pictures, _sample_borders, _small_and_large, _dots):
         yield from group(picture)
@@ -48,7 +48,7 @@ def centres_um(count: int, pitch_um: float, length_um: float) -> Array:
     return length_um / 2 + (np.arange(count, dtype=float) - (count - 1) / 2) * pitch_um
 
 
-def _conservation(picture: Array) -> Iterator[Case]:
+def _conservation(picture: Array) -> Iterator[ExtremeCase]:
     for name, ratio in (("1", 1.0), ("1 + 1e-12", 1 + ALMOST), ("1/3", 1 / 3), ("4/7", 4 / 7)):
         got = integrated(picture, ratio)
         name = f"electrons of all pixels, fill factor 1, pitch/grid {name}"
@@ -68,7 +68,7 @@ def _conservation(picture: Array) -> Iterator[Case]:
         yield compare(name, picture, got, 4 * SIDE * ALMOST, source, scale=1.0)
 
 
-def _pictures(_: Array) -> Iterator[Case]:
+def _pictures(_: Array) -> Iterator[ExtremeCase]:
     shapes = ((SIDE, SIDE), (5, 60), (60, 4), (LONG, 4))
     for name, flat in (("even", True), ("linear", False)):
         wanted, got_values, unit = [], [], []
@@ -88,7 +88,7 @@ def _pictures(_: Array) -> Iterator[Case]:
         yield compare(name, np.concatenate(wanted), np.concatenate(got_values), ROUNDED, source, scale=np.concatenate(unit))
 
 
-def _sample_borders(picture: Array) -> Iterator[Case]:
+def _sample_borders(picture: Array) -> Iterator[ExtremeCase]:
     wanted, got_values = [], []
     for sample_um in (1.0, 0.1, math.pi, 1e-3):
         for pitch, side in ((4, 2), (8, 8), (16, 6), (2, 2), (64, 64), (63, 1)):
@@ -106,7 +106,7 @@ def _sample_borders(picture: Array) -> Iterator[Case]:
     yield compare(name, np.concatenate(wanted), np.concatenate(got_values), ROUNDED * SIDE, source)
 
 
-def _small_and_large(picture: Array) -> Iterator[Case]:
+def _small_and_large(picture: Array) -> Iterator[ExtremeCase]:
     tiny = [np.random.default_rng(3).uniform(0.5, 1.5, shape) for shape in ((1, 1), (2, 2), (3, 3), (SIDE, SIDE))]
     name, source = "one pixel that covers the picture, 1×1 to 64×64 samples", "the sum of the samples"
     whole = [integrated(square, len(square)).item() for square in tiny]
@@ -130,7 +130,7 @@ def _small_and_large(picture: Array) -> Iterator[Case]:
     yield compare(name, expected, got_values, 2e-4, "closed form; error of the quintic spline, 0.02 %", scale=side**2)
 
 
-def _dots(picture: Array) -> Iterator[Case]:
+def _dots(picture: Array) -> Iterator[ExtremeCase]:
     wanted, got_values = [], []
     for degree in (0, 1):
         for dots in (1, 3, 37, 64, 200, 4096):

@@ -18,7 +18,7 @@ from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import mean_signal_rate
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.verification.stability import QUIET, ROUNDING, Case, compare, compare_drawn
+from pixsim.verification.stability import QUIET, ROUNDING, ExtremeCase, compare, compare_drawn
 
 STORED = 2e-7  # the irradiance is stored in float32
 LUMINANCES_CD_PER_M2 = 10.0 ** np.arange(-9, 13)
@@ -32,7 +32,7 @@ CAMERA = Camera(die_mm=0.08)
 CLEAN = QUIET | {"quantum_efficiency": 0.5, "fill_factor": 0.5, "full_well_e": 65_535, "bits": 16, "pitch_um": PITCH_UM}
 
 
-def cases() -> Iterator[Case]:
+def cases() -> Iterator[ExtremeCase]:
     for group in (_shot_noise, _levels, _automatic_exposure, _contrast, _darkness, _saturation):
         yield from group()
 
@@ -58,7 +58,7 @@ def captured(image: SpectralImage, physics: PixelPhysics, exposure: Exposure) ->
     return sensors.capture_from_rates(rate, sensor, exposure, np.random.default_rng(1))
 
 
-def _shot_noise() -> Iterator[Case]:
+def _shot_noise() -> Iterator[ExtremeCase]:
     n = 200_000
     means, variances = [], []
     for seed, mean_e in enumerate(ELECTRON_MEANS):
@@ -78,7 +78,7 @@ def _shot_noise() -> Iterator[Case]:
     yield compare_drawn("shares of 0 … 11 electrons at a mean of 3", exact, shares, error, "exp(-3) 3^k / k!", ", each of 12")
 
 
-def _levels() -> Iterator[Case]:
+def _levels() -> Iterator[ExtremeCase]:
     """A uniform field from 1e-9 to 1e12 cd/m²."""
     physics = derive(Pixel(**CLEAN))
     exposure = Exposure(integration_s=TIME_S)
@@ -93,7 +93,7 @@ def _levels() -> Iterator[Case]:
     yield compare_drawn(name, clipped, [f.dn.mean() for f in frames], spread, source, ", each of 22")
 
 
-def _automatic_exposure() -> Iterator[Case]:
+def _automatic_exposure() -> Iterator[ExtremeCase]:
     physics = derive(Pixel(**CLEAN | {"full_well_e": 1000}))  # filled by 1e-9 cd/m² in 25 years
     exposure = Exposure(max_integration_s=1e9, well_target=0.95)
     frames = [captured(scene(np.ones((16, 16)), luminance), physics, exposure) for luminance in LUMINANCES_CD_PER_M2]
@@ -110,7 +110,7 @@ def _automatic_exposure() -> Iterator[Case]:
     yield compare("automatic exposure: maximum integration time for dim or no light", 0.1, times, 0.0, "exactly max_integration_s")
 
 
-def _contrast() -> Iterator[Case]:
+def _contrast() -> Iterator[ExtremeCase]:
     """A bright and a dark half in one picture, 1e10 : 1."""
     halves = np.repeat([[1.0, 1e-10]], [8, 8], axis=1) * np.ones((16, 1))
     physics = derive(Pixel(**CLEAN | {"full_well_e": 1e15}))
@@ -136,7 +136,7 @@ def _contrast() -> Iterator[Case]:
     yield compare("1e10 : 1 with diffraction: light 6 pixels inside the dark half", tail, got, 0.1, source)
 
 
-def _darkness() -> Iterator[Case]:
+def _darkness() -> Iterator[ExtremeCase]:
     black = captured(scene(np.zeros((16, 16)), 1.0), derive(Pixel(**CLEAN | {"black_level_dn": 7})), Exposure())
     yield compare("total darkness, no noise: every code", 7.0, black.dn, 0.0, "exactly the black level")
     physics = derive(Pixel(**CLEAN | {"read_noise_e": 40.0, "black_level_dn": 1000, "full_well_e": 64_535}))
@@ -152,7 +152,7 @@ def _darkness() -> Iterator[Case]:
     yield compare_drawn(name.format("variance"), variance, dn.var(), variance * math.sqrt(2 / dn.size), source)
 
 
-def _saturation() -> Iterator[Case]:
+def _saturation() -> Iterator[ExtremeCase]:
     for bits in (1, 8, 24):
         frame = captured(scene(np.ones((16, 16)), 1e12), derive(Pixel(**CLEAN | {"bits": bits})), Exposure(integration_s=10.0))
         yield compare(f"everything saturated, {bits} bits: every code", 2**bits - 1, frame.dn, 0.0, "exactly the top code")

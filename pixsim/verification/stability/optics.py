@@ -11,7 +11,7 @@ import numpy as np
 from pixsim.base.arrays import Array
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffract, diffraction_otf
 from pixsim.optics.thin_lens import irradiance_factor
-from pixsim.verification.stability import Case, compare, flat
+from pixsim.verification.stability import ExtremeCase, compare, flat
 
 F_NUMBERS = (0.5, 0.7, 1.0, 1.4, 4.0, 22.0, 180.0, 1000.0)
 FIELDS_DEG = (0.0, 1e-6, 0.1, 5.0, 20.0, 45.0, 60.0, 75.0, 80.0)
@@ -27,13 +27,13 @@ TRANSFORMED = 1e-14  # rounding of a cosine transform and its inverse, relative 
 TABLE = 1e-7  # three times the error 3e-8 of linear interpolation in the OTF table of pixsim.optics
 
 
-def cases() -> Iterator[Case]:
+def cases() -> Iterator[ExtremeCase]:
     yield from _irradiance()
     yield from _otf()
     yield from _pictures()
 
 
-def _irradiance() -> Iterator[Case]:
+def _irradiance() -> Iterator[ExtremeCase]:
     n, field, m = (grid.ravel() for grid in np.meshgrid(F_NUMBERS, np.tan(np.radians(FIELDS_DEG)), MAGNIFICATIONS))
     got = irradiance_factor(n, field, m)
     lens = 0.5 / (n * (1 + np.abs(m)))
@@ -88,7 +88,7 @@ def power_on_the_plane(f_number: float) -> float:
     return float((weight * irradiance_factor(f_number, np.sqrt(s / (1 - s))) / (1 - s) ** 2).sum())
 
 
-def _otf() -> Iterator[Case]:
+def _otf() -> Iterator[ExtremeCase]:
     nm, steps = np.array([360.0, 555.0, 830.0]), np.array([[1.0], [1 + 1e-15], [2.0], [1e200]])
     beyond = [diffraction_otf(steps * cutoff_cy_per_mm(nm, n), nm, n) for n in (0.5, 4.0, 1000.0, 1e100)]
     yield compare("OTF at the cut-off and up to 1e200 times it, f/0.5 to f/1e100", 0.0, beyond, 0.0, "exactly 0")
@@ -108,7 +108,7 @@ def pupil_overlap(gap: float) -> float:
     return float(4 / np.pi * 2 * gap**1.5 * (weight * s**2 * np.sqrt(2 - gap * s**2)).sum())
 
 
-def _pictures() -> Iterator[Case]:
+def _pictures() -> Iterator[ExtremeCase]:
     pictures = [np.random.default_rng(number).uniform(0, 2, shape) for number, shape in enumerate(SHAPES)]
 
     def blurred(f_number: float) -> list[Array]:

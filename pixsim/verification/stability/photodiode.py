@@ -16,7 +16,7 @@ from pixsim.sensor.photodiode import collected_charge_e, default_diode, diode_of
 from pixsim.sensor.pixel import Diode, derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.verification.solvers import solve_ode
-from pixsim.verification.stability import Case, compare
+from pixsim.verification.stability import ExtremeCase, compare
 
 CURRENTS_E_PER_S = np.logspace(-3, 17, 201)
 TIMES_S = np.array([1e-9, 1e-6, 1e-3, 0.03, 1.0, 60.0, 3600.0, 36000.0])
@@ -26,7 +26,7 @@ FORWARD = (1e12, 0.03)  # e-/s and s: 0.5 V forward at 300 K, beyond the 0.4 V o
 HOURS_S = 36000.0
 
 
-def cases() -> Iterator[Case]:
+def cases() -> Iterator[ExtremeCase]:
     for group in (constant_capacitance, limits, implicit_solver, without_diode_current, tables):
         yield from group()
 
@@ -42,7 +42,7 @@ def closed_form_e(total_e_per_s: Array, time_s: Array, capacitance_e_per_v: floa
     return (capacitance_e_per_v * v_t * np.where(spent < 1, early, late)).astype(float)
 
 
-def constant_capacitance() -> Iterator[Case]:
+def constant_capacitance() -> Iterator[ExtremeCase]:
     for temperature_k in TEMPERATURES_K:
         diode = diode_of(Pixel(capacitance="paper", temperature_k=temperature_k))
         current, time_s = np.meshgrid(CURRENTS_E_PER_S, TIMES_S)
@@ -74,7 +74,7 @@ def charge_to_e(diode: Diode, low_v: float) -> float:
     return E_PER_FC * total
 
 
-def limits() -> Iterator[Case]:
+def limits() -> Iterator[ExtremeCase]:
     for technology, pitch_um in PITCHES_UM.items():
         diode = diode_of(Pixel(technology=technology, pitch_um=pitch_um))
         bright = np.array([1e6, 1e11, 1e17])
@@ -93,7 +93,7 @@ def limits() -> Iterator[Case]:
         yield compare(f"{technology}: no loss before saturation", expected_e, collected, 1e-11, "conservation of charge")
 
 
-def implicit_solver() -> Iterator[Case]:
+def implicit_solver() -> Iterator[ExtremeCase]:
     pixels = [(Pixel(technology=name, pitch_um=pitch), *FORWARD) for name, pitch in PITCHES_UM.items()]
     pixels += [(Pixel(temperature_k=temperature_k), 7e6, 0.03) for temperature_k in (77.0, 400.0)]
     pixels += [(Pixel(), 1e17, HOURS_S)]
@@ -104,14 +104,14 @@ def implicit_solver() -> Iterator[Case]:
         yield compare(name, expected, collected_charge_e(current, time_s, diode), 1e-8, f"LSODA (implicit) {failure}".strip())
 
 
-def without_diode_current() -> Iterator[Case]:
+def without_diode_current() -> Iterator[ExtremeCase]:
     for saturation, name in ((0.0, "no diode current: no charge is lost"), (1e-300, "a diode current of 1e-300 e-/s")):
         diode = replace(default_diode(), saturation_current_e_per_s=saturation)
         current = CURRENTS_E_PER_S[CURRENTS_E_PER_S < 1e6] if saturation else CURRENTS_E_PER_S
         yield compare(name, current * 0.03, collected_charge_e(current, 0.03, diode), 1e-12, "conservation of charge")
 
 
-def tables() -> Iterator[Case]:
+def tables() -> Iterator[ExtremeCase]:
     for (technology, pitch_um), temperature_k in zip(PITCHES_UM.items(), (400.0, 300.15, 77.0, 400.0), strict=True):
         for time_s, conversion in ((1e-3, "linear"), (HOURS_S, "junction")):
             options = {"well_limit": "diode", "conversion": conversion, "temperature_k": temperature_k}

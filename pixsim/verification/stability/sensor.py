@@ -21,7 +21,7 @@ from pixsim.sensor.integration import integrate_pixels
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.technology import Junction, Technology, load_technology
-from pixsim.verification.stability import QUIET, ROUNDING, Case, compare, compare_drawn
+from pixsim.verification.stability import QUIET, ROUNDING, ExtremeCase, compare, compare_drawn
 from pixsim.viewer.causes import causes_of, codes_to_white
 
 PITCHES_UM = (0.3, 1.0, 6.5, 40.0, 100.0)
@@ -31,7 +31,7 @@ TEMPERATURES_K = np.array([77.0, 150.0, 250.0, 300.15, 350.0, 400.0])
 BOLTZMANN_J_PER_K, ELECTRON_C = 1.380649e-23, 1.602176634e-19
 
 
-def cases() -> Iterator[Case]:
+def cases() -> Iterator[ExtremeCase]:
     physical = _pitches, _fill_factors, _grids, _times, _dark_current, _saturated
     for group in (*physical, _converters, few_codes, gains, _temperatures, _fixed_patterns, stacks):
         yield from group()
@@ -49,7 +49,7 @@ def frame(
     return sensors.read_out(np.broadcast_to(mean_e, shape), time_s, sensor, np.random.default_rng(seed + 1)).astype(float)
 
 
-def _pitches() -> Iterator[Case]:
+def _pitches() -> Iterator[ExtremeCase]:
     got = [integrate_pixels(np.full((8, 8), 3.0), pitch / 2, pitch, math.sqrt(0.4) * pitch).sum() for pitch in PITCHES_UM]
     expected = [16 * 3 * 0.4 * pitch**2 for pitch in PITCHES_UM]
     source = "16 pixels · 3 · FF · pitch²; rounding"
@@ -79,7 +79,7 @@ def _junction_ff(j: Junction, area_um2: float, v: ArrayLike) -> Array:
     return c_ff + j.cjsw_ff_per_um * 4 * math.sqrt(area_um2) * (1 + v / j.pbsw_v) ** -j.mjsw
 
 
-def _fill_factors() -> Iterator[Case]:
+def _fill_factors() -> Iterator[ExtremeCase]:
     picture = np.random.default_rng(0).uniform(0.5, 1.5, (60, 60))
     full = integrate_pixels(picture, 1.0, 2.5, 2.5)
     yield compare("FF 1: electrons of all pixels", picture.sum(), full.sum(), ROUNDING, "conservation")
@@ -97,7 +97,7 @@ def _fill_factors() -> Iterator[Case]:
     yield compare("FF 1e-12 … 1: full well over FF of a pinned photodiode", wells[-1], wells, ROUNDING, "proportional")
 
 
-def _grids() -> Iterator[Case]:
+def _grids() -> Iterator[ExtremeCase]:
     one = integrate_pixels(np.full((1, 1), 7.0), 0.3, 0.3, 0.3)
     yield compare("1 × 1 pixel on 1 × 1 sample of 0.3 µm", 7.0 * 0.09, one, ROUNDING, "value · area")
     physics = physics_of(pitch_um=0.3, technology="4t-bsi", full_well_e=1000, bits=12)
@@ -115,7 +115,7 @@ def _grids() -> Iterator[Case]:
     yield compare_drawn("20 000 × 3 pixels: mean of each column", expected, column, error, "offset of the column")
 
 
-def _times() -> Iterator[Case]:
+def _times() -> Iterator[ExtremeCase]:
     physics = physics_of(full_well_e=1e15, bits=16)
     sensor = sensors.sample_sensor(physics, (2, 2), np.random.default_rng(0))
     rate = np.full((2, 2), 1e9)
@@ -128,7 +128,7 @@ def _times() -> Iterator[Case]:
     yield compare("mean dark electrons, 1 ns … 10 h", 250 * TIMES_S, [f.mean_dark_e for f in frames], ROUNDING, "current · time")
 
 
-def _dark_current() -> Iterator[Case]:
+def _dark_current() -> Iterator[ExtremeCase]:
     physics = physics_of(full_well_e=1000, bits=10, dark_current_e_per_s=1e6)
     yield compare("dark charge of a thousand full wells: every code", 1023.0, frame(physics, 0.0), 0.0, "exactly the top code")
     lowered = replace(sensors.sample_sensor(physics, (4, 4), np.random.default_rng(0)), offset_e=np.full((4, 4), -400.0))
@@ -151,7 +151,7 @@ def _dark_current() -> Iterator[Case]:
     yield compare_drawn("dark charge equal to the full well: fraction of saturated pixels", full, share, error, "P(n ≥ full well)")
 
 
-def _saturated() -> Iterator[Case]:
+def _saturated() -> Iterator[ExtremeCase]:
     """Fractions of saturated pixels with all kinds of noise."""
     sheet = {"technology": "none", "pitch_um": 3.75, "full_well_e": 10500, "read_noise_e": 2.3, "dark_current_e_per_s": 3}
     sheet |= {"quantum_efficiency": 0.62, "bits": 12, "black_level_dn": 64, "prnu": 0.005, "dsnu": 0.2, "offset_fpn": 0.002}
@@ -196,7 +196,7 @@ def _saturated_of(physics: PixelPhysics, mean_e: float, offset_e: Array | None =
     return sensors.capture_from_rates(rate, sensor, exposure, np.random.default_rng(1)).saturated_fraction
 
 
-def _converters() -> Iterator[Case]:
+def _converters() -> Iterator[ExtremeCase]:
     """A level swept uniformly over codes, so that all rounding errors are equally frequent."""
     bits = np.arange(1, 25)
     means, variances, tops = [], [], []
@@ -227,7 +227,7 @@ def _converters() -> Iterator[Case]:
     yield compare_drawn("zero read noise, 24 bits: variance", variance, codes.var(), error, "shot noise + 1/12")
 
 
-def few_codes() -> Iterator[Case]:
+def few_codes() -> Iterator[ExtremeCase]:
     """An ADC whose steps are coarser than the picture is named as the cause of its ΔE."""
     coarse = physics_of(full_well_e=1e9, bits=12)
     codes = frame(coarse, 1e4)
@@ -252,7 +252,7 @@ def _named_codes(physics: PixelPhysics, white_e: float) -> float:
     return codes_to_white(physics, white_e, 0.01) if len(causes) == 1 else -1.0
 
 
-def gains() -> Iterator[Case]:
+def gains() -> Iterator[ExtremeCase]:
     """Read noise before the amplifier is that of the electrons, noise behind it that of the codes."""
     gains_db = (0.0, 0.1, 6.0, 20.0, 40.0, 60.0)
     times = 10 ** (np.array(gains_db) / 20)
@@ -276,7 +276,7 @@ def gains() -> Iterator[Case]:
     yield compare("four times the ADC's range at 6 … 60 dB: every code", 65535.0, full, 0.0, "exactly the top code")
 
 
-def stacks() -> Iterator[Case]:
+def stacks() -> Iterator[ExtremeCase]:
     """Shares of light that photodiodes below microlenses and openings collect."""
     fills, heights_um = (1e-12, 1e-6, 0.3, 1.0), (1e-3, 1.0, 1e4)
     bare = [stack_collection(3.0, 3 * math.sqrt(f), h, 1.5, f_number=1e12, microlens=False) for f in fills for h in heights_um]
@@ -323,7 +323,7 @@ def stacks() -> Iterator[Case]:
     yield compare("light beyond étendue at f/0.5, from the lowest microlens on", 0.0, over, 0.0, "at most FF · n²/NA²")
 
 
-def _temperatures() -> Iterator[Case]:
+def _temperatures() -> Iterator[ExtremeCase]:
     options = {"dark_current_e_per_s": None, "reset_noise_factor": 1.0}
     cold = [physics_of(temperature_k=float(t), **options) for t in TEMPERATURES_K]
     doubling_k = load_technology("0.35um").dark_doubling_k
@@ -341,7 +341,7 @@ def _temperatures() -> Iterator[Case]:
     yield compare("kTC noise at 400 K", ktc, noise[-1], ROUNDING, "√(kTC)/q with C at the reset voltage")
 
 
-def _fixed_patterns() -> Iterator[Case]:
+def _fixed_patterns() -> Iterator[ExtremeCase]:
     """Dark-current maps from DSNU near 0 to 1, the maximum: mean 1 and the given standard deviation."""
     n = 200_000
     spreads = (1e-30, 1e-9, 0.02, 0.3, 1.0)

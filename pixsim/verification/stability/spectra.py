@@ -16,7 +16,7 @@ from pixsim.scene.bands import Bands, Response, Witness, fit, place_bands
 from pixsim.sensor.integration import electrons_per_joule, mean_signal_rate
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.verification.stability import Case, compare
+from pixsim.verification.stability import ExtremeCase, compare
 from pixsim.viewer.display import white_rate
 from pixsim.viewer.display_options import Display
 
@@ -34,7 +34,7 @@ HC_J_M = spectral.PLANCK_J_S * spectral.LIGHT_SPEED_M_PER_S
 CAMERA = Camera()
 
 
-def cases() -> Iterator[Case]:
+def cases() -> Iterator[ExtremeCase]:
     yield from _lines()
     yield from _missing_light()
     yield from _blind()
@@ -72,7 +72,7 @@ def image_of(lamp: Spectrum, bands: Bands) -> SpectralImage:
     return SpectralImage(bands.wavelength_nm, bands.width_nm, 2 * PITCH_UM, factors=factors, within=within, header={})
 
 
-def _lines() -> Iterator[Case]:
+def _lines() -> Iterator[ExtremeCase]:
     physics = derive(Pixel(pitch_um=PITCH_UM))
     flat = derive(Pixel(pitch_um=PITCH_UM, quantum_efficiency=0.5))
 
@@ -110,7 +110,7 @@ def _electrons(image: SpectralImage, physics: PixelPhysics) -> float:
     return float((electrons_per_joule(physics, image) * image.mean_spectrum()).sum())
 
 
-def _missing_light() -> Iterator[Case]:
+def _missing_light() -> Iterator[ExtremeCase]:
     physics = derive(Pixel(pitch_um=PITCH_UM))
     nm = np.arange(365.0, 826.0, 10.0)
     for name, lit in (("every second band dark", np.arange(nm.size) % 2 == 0), ("one band lit of 47", nm == 555.0)):
@@ -136,7 +136,7 @@ def _even_images(nm: Array, spectrum: Array) -> list[SpectralImage]:
     return [factored, SpectralImage(nm, 10.0, 2 * PITCH_UM, data=np.broadcast_to(spectrum, (*shape, nm.size)))]
 
 
-def _blind() -> Iterator[Case]:
+def _blind() -> Iterator[ExtremeCase]:
     nm = np.arange(365.0, 826.0, 10.0)
     outside = {
         "below and above the response, 400-800 nm": (Pixel(pitch_um=PITCH_UM), (nm < 400) | (nm > 800)),

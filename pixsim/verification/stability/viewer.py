@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pixsim.base.arrays import Array
-from pixsim.verification.stability import Case, compare, flat
+from pixsim.verification.stability import ExtremeCase, compare, flat
 from pixsim.viewer.scielab import CIE_LAB, Filters, delta_e, delta_e_map, filtered_grey_lab, filtered_lab, xyz_to_lab
 
 WHITE = np.array([95.047, 100.0, 108.883])
@@ -30,14 +30,14 @@ THRESHOLD, SLOPE = (6 / 29) ** 3, (29 / 3) ** 3  # CIE 15: of Y/Yn; L* per Y/Yn 
 LAB_ROUNDED = 1e-10
 
 
-def cases() -> Iterator[Case]:
+def cases() -> Iterator[ExtremeCase]:
     pictures = [np.random.default_rng(number).uniform(0.02, 1.2, (*shape, 3)) * WHITE for number, shape in enumerate(SHAPES)]
     yield from _views(pictures)
     yield from _amounts(pictures)
     yield from _threshold()
 
 
-def compare_lab(name: str, expected: ArrayLike, got: ArrayLike, source: str) -> Case:
+def compare_lab(name: str, expected: ArrayLike, got: ArrayLike, source: str) -> ExtremeCase:
     """`compare` in ΔE, with a limit for rounding."""
     return compare(name, expected, got, LAB_ROUNDED, f"{source}; ΔE, rounding", scale=1.0)
 
@@ -53,7 +53,7 @@ def view(samples_per_deg: float, filters: Filters = "published", unit: float = 1
     return {"white_xyz": WHITE * unit, "samples_per_deg": samples_per_deg, "filters": filters}
 
 
-def _views(pictures: list[Array]) -> Iterator[Case]:
+def _views(pictures: list[Array]) -> Iterator[ExtremeCase]:
     colours = np.array([[1.0, 1.0, 1.0], [0.3, 0.2, 0.9], [1e-3, 2e-3, 1e-4], [0.0, 0.0, 0.0]])
     even = [np.broadcast_to(colour * WHITE, (*shape, 3)) for colour in colours for shape in SHAPES]
     expected = [np.broadcast_to(lab_of(colour), (*shape, 3)) for colour in colours for shape in SHAPES] * len(DENSITIES)
@@ -98,7 +98,7 @@ def _blurred_grating(samples_per_deg: float, order: int, samples: int = 16) -> A
     return (even + (_grating(order, samples) * WHITE - even) @ filtered.T) / WHITE
 
 
-def _amounts(pictures: list[Array]) -> Iterator[Case]:
+def _amounts(pictures: list[Array]) -> Iterator[ExtremeCase]:
     scaled = [picture * k for picture in pictures for k in (0, -1, 1e-12, 1e12)]
     same = [delta_e_map(picture, picture, **view(23.0, filters)) for filters in BOTH for picture in scaled]
     yield compare("ΔE of a picture with itself: black, negative, 1e-12 and 1e12 times white", 0.0, flat(same), 0.0, "exactly 0")
@@ -130,7 +130,7 @@ def _amounts(pictures: list[Array]) -> Iterator[Case]:
     yield compare_lab(f"grey pictures by one transform and by three, {VIEWS}", three, one, "identical pictures")
 
 
-def _threshold() -> Iterator[Case]:
+def _threshold() -> Iterator[ExtremeCase]:
     """f(t) and its slope at the threshold between the cube root and the straight line."""
     threshold = CIE_LAB[0]
     neighbours = np.array([np.nextafter(threshold, 0), threshold, np.nextafter(threshold, 1)])
