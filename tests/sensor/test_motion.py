@@ -69,14 +69,20 @@ def test_contrast_of_a_wave_is_sinc(path_um: float, half_periods: int, axis: int
     np.testing.assert_allclose(moved(picture, STANDING)[5:-5, 5:-5], still[5:-5, 5:-5], rtol=1e-4)
 
 
-def test_contrast_along_a_slanted_path_is_sinc_of_both_axes() -> None:
+# From a thousandth of a pixel to a thousand; waves whose fronts lie along the path; a path that is slanted by rounding only.
+@pytest.mark.parametrize("path", [(2e-3, 1e-3), (17.0, -9.0), (12.0, 12.0), (12.0, 12.0 + 1e-9), (2000.0, -900.0), (5.0, 1e-13)])
+@pytest.mark.parametrize("cycles", [(30.0, 24.0), (160.0, 120.0)])
+def test_contrast_along_a_slanted_path_is_sinc_of_both_axes(path: tuple[float, float], cycles: tuple[float, float]) -> None:
     """cos a cos b along (u, v) is (cos(a + b) + cos(a - b))/2, each of which keeps the sinc of its own frequency along the path."""
-    shape, cycles, path = (400, 300), (30.0, 24.0), (17.0, -9.0)
+    shape = (400, 300)
     picture = wave(shape, cycles)
     down, across = (cycle / 2 / count * length for cycle, count, length in zip(cycles, shape, path, strict=True))
     found = contrast(moved(picture, Moving(path)), moved(picture, STANDING))
     assert found == pytest.approx((np.sinc(down + across) + np.sinc(down - across)) / 2, abs=1e-6)
-    # A wave front along the path keeps all of its contrast; one across it loses the most.
+
+
+def test_fronts_along_a_slanted_path_keep_their_contrast() -> None:
+    """And those across it lose the most."""
     rows, columns = np.indices((300, 300))
     for sign, kept in ((-1, np.sinc(0.0)), (1, np.sinc(2 * 12.0 / 40))):
         slanted = 1 + 0.5 * np.cos(2 * math.pi * (rows + sign * columns) / 40)
