@@ -506,7 +506,7 @@ class ImagingChain:
         count = max(2, math.floor(side * pitch_um / dot_um) - 2)  # but those at the edges
         edges_um = side * pitch_um / 2 + (np.arange(count + 1.0) - count / 2) * min(dot_um, side * pitch_um / count)
         rates = np.maximum(self.rendition.responses, 0.0) * np.array(self.whites_e_per_s)
-        exposure = lasting(self.exposure, integration_s)
+        exposure = lasting(self.exposure.steady, integration_s)
         whole = replace(self.screen, size_um=(side * pitch_um, side * pitch_um), dot_edges_um=(edges_um, edges_um))
         display = screen.display.model_copy(update={"dots": max(8, count)})  # decides on the order of the axes alone
         physics = replace(physics, pixel=physics.pixel.model_copy(update={"registration": None}))

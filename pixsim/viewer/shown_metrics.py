@@ -75,7 +75,7 @@ def _visual_noise(judged: Judged) -> tuple[float]:
     even = np.full(chain.signal_e_per_s.shape, GREY * chain.white_e_per_s)
     if chain.even is not None and (chain.shading is not None or chain.correction.flat_frames):
         even *= chain.even  # by which the picture is divided
-    patch = replace(chain, signal_e_per_s=even, exposure=lasting(chain.exposure, time_s))
+    patch = replace(chain, signal_e_per_s=even, exposure=lasting(chain.exposure.steady, time_s))
     key = (*judged.stream, judged.number, "visual noise")
     frame = patch.capture_with(stream(*key, "sensor"), stream(*key, "frame"), stream(*key, "correction"))
     if frame.saturated_fraction > FEW_FULL:
