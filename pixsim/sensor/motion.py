@@ -48,6 +48,11 @@ class Moving:
         """Whether anything moves."""
         return any((*self.path_um, *self.row_um, *self.shift_um))
 
+    @property
+    def longest_um(self) -> float:
+        """The path along its longer axis."""
+        return max(map(abs, self.path_um))
+
     def of_exposures(self, count: int) -> list[Moving]:
         """Return that of each exposure of a burst, which follow one another at once."""
         down, across = (path / count for path in self.path_um)

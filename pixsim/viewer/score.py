@@ -1360,7 +1360,7 @@ def dark_clip(physics: PixelPhysics, integration_s: float, white_e: float) -> di
     least_black_level_dn : `pixsim.sensor.least_black_level_dn`
     gain_db : of the exposure, without which the black level would have room
 
-    >>> from pixsim.pixel import derive
+    >>> from pixsim.sensor.pixel import derive
     >>> from pixsim import Pixel
     >>> clip = dark_clip(derive(Pixel()), 0.03, white_e=5e4)  # no black level: half of the dark levels, σ of 209 e-
     >>> round(clip["at_zero_fraction"], 2), round(clip["too_bright_e"]), clip["least_black_level_dn"]

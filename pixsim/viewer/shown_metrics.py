@@ -38,12 +38,11 @@ def _acutance(judged: Judged) -> tuple[float]:
     on_sensor = frequency / judged.mm_per_deg
 
     def compute() -> float:
-        terms = mtf_terms(facts.mean, facts.camera, chain.physics, display, on_sensor, chain.screen.dot_um)
+        of_chain = chain.physics, display, on_sensor, chain.screen.dot_um, chain.moving.longest_um
+        terms = mtf_terms(facts.mean, facts.camera, *of_chain)
         if chain.develop.sharpens:
             cy_per_px = 1e-3 * chain.physics.read_pitch_um * on_sensor
             terms["sharpening"] = unsharp_response(cy_per_px, chain.develop.sharpen_amount, chain.sharpen_px)
-        # Along the axis of the longer path.
-        terms["motion"] = np.sinc(1e-3 * max(map(abs, chain.moving.path_um)) * on_sensor)
         return acutance(frequency, np.abs(np.prod(list(terms.values()), axis=0)))
 
     sharpened = chain.develop.sharpen_amount, chain.sharpen_px if chain.develop.sharpens else 0.0
