@@ -364,12 +364,12 @@ def velocity_um_per_s(motion: Motion, camera: Camera, pitch_um: float) -> tuple[
     return x * scale, y * scale
 
 
-def room_um(motion: Motion, exposure: Exposure, camera: Camera, pitches_um: Iterable[float]) -> float:
+def room_um(motion: Motion, exposure: Exposure, camera: Camera, pixels: Iterable[tuple[float, int]]) -> float:
     """Return the width on each side of the die that is left to light from beyond it: half of the longest path on the sensor.
 
     With a rolling shutter the first and the last rows see the scene displaced, too.
 
-    pitches_um : of the largest and the smallest pixels
+    pixels : pitches in µm of the largest and the smallest ones, and how many along a side are read as one
     """
     if not motion.is_on:
         return 0.0
@@ -377,18 +377,20 @@ def room_um(motion: Motion, exposure: Exposure, camera: Camera, pitches_um: Iter
         return motion.margin_um
     longest_s = exposure.times * (exposure.integration_s or exposure.max_integration_s)
     rooms = []
-    for pitch_um in pitches_um:
-        lines = 1e3 * camera.height_mm / pitch_um
+    for pitch_um, bin_side in pixels:
+        lines = 1e3 * camera.height_mm / (pitch_um * bin_side)
         rooms.append((longest_s + lines * exposure.line_time_s) / 2 * max(map(abs, velocity_um_per_s(motion, camera, pitch_um))))
     return max(rooms)
 
 
-def border_with_room_um(border_um: float, motion: Motion, exposure: Exposure, camera: Camera, pitches_um: Iterable[float]) -> float:
+def border_with_room_um(
+    border_um: float, motion: Motion, exposure: Exposure, camera: Camera, pixels: Iterable[tuple[float, int]]
+) -> float:
     """Return the width on each side of the die that is not scored: that of pixels, and `room_um`.
 
     Raises PixsimError if nothing would be left to score.
     """
-    spare_um, least_um = room_um(motion, exposure, camera, pitches_um), 1e3 * min(camera.die_mm, camera.height_mm)
+    spare_um, least_um = room_um(motion, exposure, camera, pixels), 1e3 * min(camera.die_mm, camera.height_mm)
     if spare_um and 2 * (border_um + spare_um) >= least_um:
         got = f"a path of up to {2 * spare_um:.4g} µm on the sensor" if motion.margin_um is None else f"a margin of {spare_um:g} µm"
         allowed = f"one that leaves something to score, a path below {max(0.0, least_um - 2 * border_um):.4g} µm, twice its margin"

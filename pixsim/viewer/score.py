@@ -1200,8 +1200,9 @@ def make_imaging_chain(
 
 def scored_border_um(physics: PixelPhysics, motion: Motion, exposure: Exposure, camera: Camera) -> float | None:
     """Return the border of a frame that is scored alone, with room for what moves; None: that of the pixel."""
-    border_um = physics.as_read.border_um
-    return border_with_room_um(border_um, motion, exposure, camera, [physics.pitch_um]) if motion.is_on else None
+    read = physics.as_read
+    room_of = motion, exposure, camera, [(read.pitch_um, read.bin_side)]
+    return border_with_room_um(read.border_um, *room_of) if motion.is_on else None
 
 
 def warn_of_other_camera(irradiance: SpectralImage, camera: Camera) -> None:

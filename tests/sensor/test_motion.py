@@ -245,6 +245,17 @@ def test_units_of_one_velocity_leave_the_same_room() -> None:
     each = Motion(pixels_per_s=(1e4, 0.0)), Motion(image_um_per_s=(4e4, 0.0))
     first, other = (scored_border_um(derive(pixel), motion, exposure, camera) for motion in each)
     assert first == other == pytest.approx(derive(pixel).as_read.border_um + 20.0)
+    # The lines of a rolling shutter are those that are read: half as many.
+    rolling = exposure.model_copy(update={"shutter": "rolling", "line_time_us": 1.0})
+    lines = 1e3 * camera.height_mm / 8.0
+    found = scored_border_um(derive(pixel), Motion(image_um_per_s=(4e4, 0.0)), rolling, camera)
+    assert found == pytest.approx(derive(pixel).as_read.border_um + 20.0 + 0.04 * lines / 2)
+    study = Study(
+        name="a", exposure=rolling, motion=Motion(image_um_per_s=(4e4, 0.0)), technologies=["4t-bsi"],
+        pixel=pixel.model_dump(exclude_unset=True, exclude={"technology", "pitch_um"}),
+        pitch={"values_um": [4.0, 5.0, 6.0, 7.0, 8.0]},
+    )  # fmt: skip
+    assert border_on_um(study, camera) == pytest.approx(study.border_um + 20.0 + 0.04 * lines / 2)
 
 
 @pytest.mark.parametrize("margin_um", [None, 60.0])

@@ -400,6 +400,14 @@ def test_settings_of_metrics_in_calls_with_records_say_so() -> None:
             call(**asked)
 
 
+def test_settings_of_lenses_in_calls_with_records_say_so() -> None:
+    light, pixel = picture(np.arange(405.0, 700.0, 10.0)), Pixel(pitch_um=20.0)
+    camera = camera_with_lens(Camera(), CameraOptions(), LensOptions(veiling_glare_outside=0.5))
+    for call in (partial(pixsim.evaluate, light, pixel=pixel), partial(pixsim.sweep, light, [pixel], jobs=1)):
+        with pytest.warns(UserWarning, match=r"lens\.veiling_glare_outside is not used: lens\.veiling_glare is 0"):
+            call(camera=camera, display=Display(dots=32))
+
+
 def test_rules_name_settings_that_exist() -> None:
     known = {*MOVES, *Run.model_fields, *Study.model_fields, *(f"camera.{name}" for name in CameraOptions.model_fields)}
     known |= {f"pitch.{name}" for name in type(tiny().pitch).model_fields}
