@@ -166,7 +166,11 @@ def run_document(result: RunResult, warned: Collection[str] = ()) -> Document:
         data=result.as_dict(),
         answers=(Answer(answer.head, (*unsure, *answer.below)),),
         lead=(*several_facts(result), *(Note(note) for note in result.notes if note not in {*unsure, *warned})),
-        about=(DELTA_E, camera_words(result), blur_words(result.irradiance, result.camera, score.physics, result.settings.display)),
+        about=(
+            DELTA_E,
+            camera_words(result),
+            blur_words(*(result.irradiance, result.camera, score.physics, result.settings.display), result.chain.moving.longest_um),
+        ),
         sections=(budget_section(result.budget), budgets_section(budgets_of(result))),
         data_file="score.json",
         sources=[Path(result.prepared.source)],

@@ -48,7 +48,15 @@ from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, findi
 from pixsim.studies.conditions import Compromise
 from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.extent import csf_range_lp_per_mm
-from pixsim.studies.merit import detail_frequency_lp_per_mm, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, study_mtf_terms
+from pixsim.studies.merit import (
+    detail_frequency_lp_per_mm,
+    longest_path_um,
+    mpe30_lx_s,
+    mtf50_cy_per_mm,
+    shown_mtf,
+    study_mtf_terms,
+    system_mtf,
+)
 from pixsim.studies.quanta import NEQ, neq_against_frequency, quanta_of_study
 from pixsim.studies.result import (
     Curve,
@@ -138,8 +146,11 @@ def optimum_against_technology(result: StudyResult) -> Plate:
 def light_against_detail(result: StudyResult, curve: Curve) -> Plate:
     """Plot MTF50 and MPE30 of each pitch, the two sides of the trade-off, and the MTF of each blur term at fine detail."""
     pixels = [result.physics(curve.technology, pitch_um) for pitch_um in curve.pitch_um.tolist()]
-    mtf50 = [mtf50_cy_per_mm(result, physics) for physics in pixels]
-    shown50 = [mtf50_cy_per_mm(result, physics, shown_mtf) for physics in pixels]
+    paths_um = [longest_path_um(result, curve, pitch_um) for pitch_um in curve.pitch_um.tolist()]
+    mtf50, shown50 = (
+        [mtf50_cy_per_mm(result, physics, mtf, path) for physics, path in zip(pixels, paths_um, strict=True)]
+        for mtf in (system_mtf, shown_mtf)
+    )
     mpe30 = [mpe30_lx_s(result, physics) for physics in pixels]
     figure = new_figure(6.4, 6.8)
     axes, lower = figure.subplots(2, 1, sharex=True)
@@ -154,7 +165,9 @@ def light_against_detail(result: StudyResult, curve: Curve) -> Plate:
     axes.legend(handles=[*detail, *light], frameon=False, loc="upper right", handlelength=LEGEND_LINE)
 
     frequency, name = detail_frequency_lp_per_mm(result.irradiance, curve.optimum.pitch_um)
-    of_pixels = [study_mtf_terms(result, physics, np.array(frequency)) for physics in pixels]
+    of_pixels = [
+        study_mtf_terms(result, physics, np.array(frequency), path) for physics, path in zip(pixels, paths_um, strict=True)
+    ]
     terms = {term: np.array([float(values[term]) for values in of_pixels]) for term in of_pixels[0]}
     shown = draw_terms(lower, curve.pitch_um, terms, result.study.display.interpolation)
     table: dict[str, Column] = {
@@ -440,7 +453,8 @@ def _limits(result: StudyResult) -> Iterator[Block]:
     """Yield the contrast that each blur leaves at the optimum."""
     for curve in result.curves:
         physics = result.physics(curve.technology, curve.optimum.pitch_um)
-        blur = blur_words(result.irradiance, result.camera, physics, result.study.display)
+        path = longest_path_um(result, curve, curve.optimum.pitch_um)
+        blur = blur_words(result.irradiance, result.camera, physics, result.study.display, path)
         yield f"Blur of {curve.optimum.pitch_um:.2f} µm pixels, {curve.label}. {blur}"
 
 

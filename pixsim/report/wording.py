@@ -79,9 +79,12 @@ def budget_section(budget: dict[str, Any] | None) -> Section:
     return Section("budget", "Error budget", (words, Table("error budget", (), rows, words=None)), brief=True)
 
 
-def blur_words(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display) -> str:
-    """Return sentences on the contrast left by each term at `detail_frequency_lp_per_mm`."""
-    frequency, name, terms, of_display = detail_terms(irradiance, camera, physics, display)
+def blur_words(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display, path_um: float = 0.0) -> str:
+    """Return sentences on the contrast left by each term at `detail_frequency_lp_per_mm`.
+
+    path_um : of light that moves in an exposure
+    """
+    frequency, name, terms, of_display = detail_terms(irradiance, camera, physics, display, path_um)
     left, *others = (f"{term} {'is ' * ('lens' in term.split())}{mtf:.3f}" for term, mtf in terms.items())
     *some, last = (f"that of the {words}" for words in others)
     words = f"At {frequency:.3g} lp/mm, {name}, the MTF of the {', '.join([left, *some])} and {last}: "

@@ -1,4 +1,4 @@
-"""Gain and time of a frame, and from how many exposures it is."""
+"""Gain and time of a frame, from how many exposures it is, and how the light changes meanwhile."""
 
 from __future__ import annotations
 
@@ -46,11 +46,39 @@ class Exposure(Record):
         None, description="time from row to row of a rolling shutter"
     )
 
+    flicker_hz: Annotated[float, Field(ge=1e-6, le=1e9)] | None = Field(
+        None, description="frequency at which the light flickers, twice that of the mains (absent: steady light)"
+    )
+    flicker_depth: Annotated[float, Field(ge=0, le=1)] | None = Field(
+        None, description="modulation of light that flickers, as a sine: (most - least)/(most + least)"
+    )
+    flicker_phase_deg: Annotated[float, Field(ge=-360, le=360)] | None = Field(
+        None,
+        description="phase of the flicker at mid exposure of the middle row, 0 where it is brightest "
+        "(absent: drawn for each frame)",
+    )
+
     @model_validator(mode="after")
     def _rolling_shutter_has_a_line_time(self) -> Self:
         if self.shutter == "rolling" and self.line_time_us is None:
             raise ValueError("got shutter = 'rolling' without line_time_us; allowed: with the time from row to row, as 10.0")
         return self
+
+    @model_validator(mode="after")
+    def _flicker_has_a_depth(self) -> Self:
+        if self.flicker_hz is not None and self.flicker_depth is None:
+            raise ValueError("got flicker_hz without flicker_depth; allowed: with the modulation of the lamp, from 0 to 1, as 0.4")
+        return self
+
+    @property
+    def flickers(self) -> bool:
+        """Whether the light changes in the time of a frame."""
+        return self.flicker_hz is not None and bool(self.flicker_depth)
+
+    @property
+    def steady(self) -> Exposure:
+        """The same exposure in the mean light of a lamp that flickers."""
+        return self.model_copy(update={"flicker_hz": None, "flicker_depth": None}) if self.flickers else self
 
     @property
     def line_time_s(self) -> float:

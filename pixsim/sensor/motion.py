@@ -15,9 +15,10 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from pixsim.base.arrays import Array, dct, empty_planes, strips, transposed
+from pixsim.base.arrays import Array, dct, empty_planes, strips, strips_of, transposed
 from pixsim.base.errors import invalid
 from pixsim.base.machine import threads
 from pixsim.optics.camera import Camera
@@ -47,6 +48,11 @@ class Moving:
         """Whether anything moves."""
         return any((*self.path_um, *self.row_um, *self.shift_um))
 
+    @property
+    def longest_um(self) -> float:
+        """The path along its longer axis."""
+        return max(map(abs, self.path_um))
+
     def of_exposures(self, count: int) -> list[Moving]:
         """Return that of each exposure of a burst, which follow one another at once."""
         down, across = (path / count for path in self.path_um)
@@ -55,6 +61,72 @@ class Moving:
 
 
 STANDING = Moving((0.0, 0.0))
+
+
+@dataclass(frozen=True)
+class SlantedSpectrum:
+    """What slanted paths of one direction share: a spectrum (H, W) over a² - b², as of `kept`, for a path of length 1.
+
+    direction : down and across, the larger one 1 or -1
+    over : 0 where a and ±b are one to `NEAR`
+    near : (rows, columns) of those places
+    near_spectrum : the spectrum there
+    """
+
+    direction: tuple[float, float]
+    over: Array = field(repr=False)
+    near: tuple[NDArray[np.intp], NDArray[np.intp]] = field(repr=False)
+    near_spectrum: Array = field(repr=False)
+
+    @classmethod
+    def of(cls, spectrum: Array, direction: tuple[float, float]) -> SlantedSpectrum:
+        """Return that of a spectrum (H, W)."""
+        down, across = _angles(spectrum.shape, direction)
+        over, near = empty_planes(*spectrum.shape), []
+        for rows in strips(*spectrum.shape):
+            squares = np.subtract.outer(down[rows] ** 2, across**2)
+            row, column = np.nonzero(np.abs(squares) <= NEAR * np.add.outer(down[rows] ** 2, across**2))
+            squares[row, column] = np.inf
+            np.divide(spectrum[rows], squares, out=over[rows])
+            near.append((row + rows.start, column))
+        row, column = (np.concatenate(each) for each in zip(*near, strict=True))
+        return cls(direction, over, (row, column), spectrum[row, column])
+
+    def kept(self, length: float) -> tuple[Array, Array]:
+        """Return what a path leaves of the spectrum as products of cosines, and as products of sines, (H, W) each.
+
+        The first row of the sines is that of the frequency 1, the last one is 0.
+
+        (sinc(a + b) ± sinc(a - b))/2, of angles a down and b across, has one denominator, a² - b², for all lengths: the numerators
+        are a sin a cos b - b sin b cos a and a cos a sin b - b sin a cos b, products of numbers of one axis.
+        """
+        (height, _), (unit_down, unit_across) = self.over.shape, _angles(self.over.shape, self.direction)
+        down, across = length * unit_down, length * unit_across
+        (sin_down, cos_down), (sin_across, cos_across) = ((np.sin(each), np.cos(each)) for each in (down, across))
+        of_cosines = unit_down * sin_down / length, cos_across, cos_down / length, unit_across * sin_across
+        of_sines = sin_down / length, unit_across * cos_across, unit_down * cos_down / length, sin_across
+        even, odd = empty_planes(*self.over.shape), empty_planes(*self.over.shape)
+        for rows, spare in strips_of(self.over.shape):
+            _two_products(of_cosines, rows, spare, even[rows])
+            even[rows] *= self.over[rows]
+            later = slice(rows.start + 1, min(rows.stop + 1, height))
+            to = odd[rows.start : later.stop - 1]
+            _two_products(of_sines, later, spare[: len(to)], to)
+            to *= self.over[later]
+        odd[-1] = 0.0
+        row, column = self.near
+        plus, minus = (np.sinc((down[row] + sign * across[column]) / math.pi) for sign in (1, -1))
+        even[self.near] = self.near_spectrum * (plus + minus) / 2
+        odd[row - 1, column] = np.where(row, self.near_spectrum * (minus - plus) / 2, 0.0)
+        return even, odd
+
+
+def _two_products(factors: tuple[Array, Array, Array, Array], rows: slice, spare: Array, out: Array) -> None:
+    """Write down × across - down × across, of the factors in this order, to some rows of a plane."""
+    down, across, other_down, other_across = factors
+    np.multiply(other_down[rows, None], other_across, out=spare)
+    np.multiply(down[rows, None], across, out=out)
+    out -= spare
 
 
 @dataclass(frozen=True)
@@ -68,6 +140,7 @@ class LightSpectrum:
     _back: dict[tuple[int, tuple[float, float]], tuple[Array, Array | None]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
+    _slanted: list[SlantedSpectrum] = field(default_factory=list, init=False, repr=False, compare=False)
 
     @cached_property
     def of_samples(self) -> Array:
@@ -88,17 +161,30 @@ class LightSpectrum:
     def back(self, axis: int, path_cells: tuple[float, float] = (0.0, 0.0)) -> tuple[Array, Array | None]:
         """Return `of_spline` of the picture averaged along a path, back down the columns (0) or along the rows: cosines and sines.
 
-        None in place of sines that are 0. The pixels of one exposure time share those of its path.
+        None in place of sines that are 0, as along the rows, for which no path is slanted. The pixels of one exposure time share
+        those of its path.
         """
         key = axis, path_cells
         if (found := self._back.get(key)) is not None:
             return found
-        even, odd = _kept_along(self.of_spline, path_cells)
-        found = _cosines(even, axis), None if odd is None else _sines(odd, axis)
+        for other in [other for other in self._back if any(path_cells) and any(other[1])]:  # the still ones stay
+            del self._back[other]  # before the next ones, which take their memory
+        if all(path_cells):
+            even, odd = self._of_direction(_direction(path_cells)).kept(_length(path_cells))
+            found = _cosines(even, axis), _sines(odd, axis)
+        else:
+            found = _cosines(_kept_along(self.of_spline, path_cells), axis), None
         if self.samples.size <= MAX_KEPT_SAMPLES:
-            for other in [other for other in self._back if any(path_cells) and any(other[1])]:  # the still ones stay
-                del self._back[other]
             self._back[key] = found
+        return found
+
+    def _of_direction(self, direction: tuple[float, float]) -> SlantedSpectrum:
+        """Return what slanted paths of a direction share; the last one is kept."""
+        if self._slanted and self._slanted[0].direction == direction:
+            return self._slanted[0]
+        found = SlantedSpectrum.of(self.of_spline, direction)
+        if self.samples.size <= MAX_KEPT_SAMPLES:
+            self._slanted[:] = [found]
         return found
 
     def blurred(self, path_cells: tuple[float, float]) -> Array:
@@ -106,11 +192,12 @@ class LightSpectrum:
 
         path_cells : down and across
         """
-        if not any(path_cells):
+        if not any(path_cells := _rounded(path_cells)):
             return self.samples
-        even, odd = _kept_along(self.of_samples, path_cells)
-        total = _cosines(_cosines(even, 0), 1)
-        return total if odd is None else total + _sines(_sines(odd, 0), 1)
+        if not all(path_cells):
+            return _cosines(_cosines(_kept_along(self.of_samples, path_cells), 0), 1)
+        even, odd = SlantedSpectrum.of(self.of_samples, _direction(path_cells)).kept(_length(path_cells))
+        return _cosines(_cosines(even, 0), 1) + _sines(_without_first(_sines(odd, 0)), 1)
 
     def integrals(
         self, y_cells: tuple[Array, Array], x_cells: tuple[Array, Array], path_cells: tuple[float, float], shift_cells: Array
@@ -119,19 +206,22 @@ class LightSpectrum:
 
         shift_cells : (2, rows) displacement of the light in each row, down and across
         """
-        down, across = path_cells
+        down, across = path_cells = _rounded(path_cells)
         height, width = self.samples.shape
         rows = cell_weights(y_cells[0] - shift_cells[0], y_cells[1] - shift_cells[0], height)
         columns = cell_weights(*x_cells, width)
         if down and not across and not shift_cells[1].any():
-            light = transposed(columns @ transposed(self.back(1)[0])) * np.sinc(_cycles(height) * down)[:, None]
+            light = empty_planes(height, columns.shape[0])
+            np.multiply((columns @ transposed(self.back(1)[0])).T, np.sinc(_cycles(height) * down)[:, None], out=light)
             return np.asarray(rows @ _cosines(light, 0))
         cosines, sines = self.back(0, path_cells if down else (0.0, 0.0))
         cosines, sines = rows @ cosines, None if sines is None else rows @ sines
         if across and not down:
-            cosines = cosines * np.sinc(_cycles(width) * across)
+            cosines *= np.sinc(_cycles(width) * across)
         cosines, sines = _shifted(cosines, sines, shift_cells[1])
-        light = _cosines(cosines, 1) if sines is None else _cosines(cosines, 1) + _sines(sines, 1)
+        light = _cosines(cosines, 1)
+        if sines is not None:
+            light += _sines(_without_first(sines), 1)
         return transposed(columns @ transposed(light))
 
 
@@ -143,7 +233,7 @@ def shifted_rows(picture: Array, shift_cells: Array) -> Array:
 
     cosines, sines = _shifted(dct_along(picture, axis=1), None, shift_cells)
     assert sines is not None
-    return _cosines(cosines, 1) + _sines(sines, 1)
+    return _cosines(cosines, 1) + _sines(_without_first(sines), 1)
 
 
 def _cycles(count: int) -> Array:
@@ -151,65 +241,84 @@ def _cycles(count: int) -> Array:
     return np.arange(count) / (2 * count)
 
 
-NEAR = 1e-6  # of an angle, below which its sine over it is 1 to 2e-13
+def _angles(shape: tuple[int, ...], path_cells: tuple[float, float]) -> list[Array]:
+    """Return half of the phase along a path of each frequency down and across, (H,) and (W,)."""
+    return [math.pi * _cycles(count) * path for count, path in zip(shape, path_cells, strict=True)]
 
 
-def _kept_along(spectrum: Array, path_cells: tuple[float, float]) -> tuple[Array, Array | None]:
-    """Return what a path leaves of a spectrum (H, W) as products of cosines, and what becomes products of sines; None for none."""
-    down, across = (math.pi * _cycles(count) * path for count, path in zip(spectrum.shape, path_cells, strict=True))
-    if not any(path_cells):
-        return spectrum, None
+DIRECTION_DIGITS = 12  # of paths of one velocity and several times, whose directions differ by rounding
+NEAR = 1e-6  # of a² + b², up to which a² - b² has lost too many digits: an error of 2e-10 elsewhere
+
+
+def _length(path_cells: tuple[float, float]) -> float:
+    """Return the length of a path along its longer axis."""
+    return max(map(abs, path_cells))
+
+
+def _direction(path_cells: tuple[float, float]) -> tuple[float, float]:
+    """Return a path over its length, the same for all times."""
+    length = _length(path_cells)
+    down, across = (round(each / length, DIRECTION_DIGITS) for each in path_cells)
+    return down, across
+
+
+def _rounded(path_cells: tuple[float, float]) -> tuple[float, float]:
+    """Return a path, without an axis along which it is shorter than its direction has digits."""
     if not all(path_cells):
-        return spectrum * np.sinc(down / math.pi)[:, None] * np.sinc(across / math.pi), None
-    even, odd = empty_planes(*spectrum.shape), empty_planes(*spectrum.shape)
-    # By the sines and cosines of each axis alone: those of all sums would take longer than the transforms.
-    (sin_down, cos_down), (sin_across, cos_across) = ((np.sin(each), np.cos(each)) for each in (down, across))
-    for rows in strips(*spectrum.shape):
-        first, second = np.multiply.outer(sin_down[rows], cos_across), np.multiply.outer(cos_down[rows], sin_across)
-        plus = _over(first + second, down[rows, None] + across)
-        minus = _over(first - second, down[rows, None] - across)
-        half = spectrum[rows] / 2
-        np.multiply(half, plus + minus, out=even[rows])
-        np.multiply(half, minus - plus, out=odd[rows])
-    return even, odd
+        return path_cells
+    down, across = (each if own else 0.0 for each, own in zip(path_cells, _direction(path_cells), strict=True))
+    return down, across
 
 
-def _over(sine: Array, angle: Array) -> Array:
-    """Return the sine of an angle over the angle, (H, W); both are overwritten."""
-    near = np.abs(angle) < NEAR
-    angle[near] = sine[near] = 1.0
-    sine /= angle
-    return sine
+def _kept_along(spectrum: Array, path_cells: tuple[float, float]) -> Array:
+    """Return what a path along one axis, or none, leaves of a spectrum (H, W), in a plane of its own."""
+    down, across = _angles(spectrum.shape, path_cells)
+    kept = empty_planes(*spectrum.shape)
+    np.multiply(spectrum, np.sinc(down / math.pi)[:, None] if path_cells[0] else np.sinc(across / math.pi), out=kept)
+    return kept
 
 
 def _shifted(cosines: Array, sines: Array | None, shift_cells: Array) -> tuple[Array, Array | None]:
     """Return the spectra of rows, (rows, W), that are displaced across by a number of samples each."""
     if not shift_cells.any():
         return cosines, sines
-    angle = 2 * math.pi * shift_cells[:, None] * _cycles(cosines.shape[1])
-    cosine, sine = np.cos(angle), np.sin(angle)
-    if sines is None:
-        return cosines * cosine, cosines * sine
-    return cosines * cosine - sines * sine, cosines * sine + sines * cosine
+    turned = _phases(2 * math.pi * shift_cells, cosines.shape[1])
+    turned *= cosines if sines is None else cosines + 1j * sines
+    return np.ascontiguousarray(turned.real), np.ascontiguousarray(turned.imag)
+
+
+def _phases(shift_angle: Array, count: int) -> NDArray[np.complex128]:
+    """Return exp(i angle f) of rows, (rows, count), at the frequencies f of `_cycles`.
+
+    A frequency is a multiple of a coarse step and a few fine ones: a product of two small tables, where sines and cosines of all
+    would take longer than the transforms.
+    """
+    fine = math.isqrt(count - 1) + 1
+    step = np.arange(fine) / (2 * count)
+    tables = [np.exp(1j * np.multiply.outer(shift_angle, steps)) for steps in (fine * step, step)]
+    return np.multiply(tables[0][:, :, None], tables[1][:, None, :]).reshape(shift_angle.size, -1)[:, :count]
 
 
 def _cosines(spectrum: Array, axis: int) -> Array:
-    """Return the sum of cosines of a spectrum along an axis: the inverse of the DCT-II."""
+    """Return the sum of cosines of a spectrum along an axis, the inverse of the DCT-II, in its place."""
     from scipy.fft import idct
 
-    return np.asarray(idct(spectrum, axis=axis, workers=threads()))
+    return np.asarray(idct(spectrum, axis=axis, overwrite_x=True, workers=threads()))
 
 
 def _sines(spectrum: Array, axis: int) -> Array:
-    """Return the sum of sines of the frequencies of a DCT-II along an axis, the first of which is 0."""
+    """Return the sum of sines along an axis, of the frequencies of a DCT-II from the second one to one beyond, in its place."""
     from scipy.fft import idst
 
-    later = np.zeros_like(spectrum)
-    if axis == 0:
-        later[:-1] = spectrum[1:]
-    else:
-        later[:, :-1] = spectrum[:, 1:]
-    return np.asarray(idst(later, axis=axis, workers=threads(), overwrite_x=True))
+    return np.asarray(idst(spectrum, axis=axis, overwrite_x=True, workers=threads()))
+
+
+def _without_first(spectrum: Array) -> Array:
+    """Return the frequencies of rows from the second one, with 0 for the last."""
+    later = empty_planes(*spectrum.shape)
+    later[:, :-1] = spectrum[:, 1:]
+    later[:, -1] = 0.0
+    return later
 
 
 def cell_weights(low_cells: Array, high_cells: Array, count: int) -> csr_array:
@@ -255,12 +364,12 @@ def velocity_um_per_s(motion: Motion, camera: Camera, pitch_um: float) -> tuple[
     return x * scale, y * scale
 
 
-def room_um(motion: Motion, exposure: Exposure, camera: Camera, pitches_um: Iterable[float]) -> float:
+def room_um(motion: Motion, exposure: Exposure, camera: Camera, pixels: Iterable[tuple[float, int]]) -> float:
     """Return the width on each side of the die that is left to light from beyond it: half of the longest path on the sensor.
 
     With a rolling shutter the first and the last rows see the scene displaced, too.
 
-    pitches_um : of the largest and the smallest pixels
+    pixels : pitches in µm of the largest and the smallest ones, and how many along a side are read as one
     """
     if not motion.is_on:
         return 0.0
@@ -268,18 +377,20 @@ def room_um(motion: Motion, exposure: Exposure, camera: Camera, pitches_um: Iter
         return motion.margin_um
     longest_s = exposure.times * (exposure.integration_s or exposure.max_integration_s)
     rooms = []
-    for pitch_um in pitches_um:
-        lines = 1e3 * camera.height_mm / pitch_um
+    for pitch_um, bin_side in pixels:
+        lines = 1e3 * camera.height_mm / (pitch_um * bin_side)
         rooms.append((longest_s + lines * exposure.line_time_s) / 2 * max(map(abs, velocity_um_per_s(motion, camera, pitch_um))))
     return max(rooms)
 
 
-def border_with_room_um(border_um: float, motion: Motion, exposure: Exposure, camera: Camera, pitches_um: Iterable[float]) -> float:
+def border_with_room_um(
+    border_um: float, motion: Motion, exposure: Exposure, camera: Camera, pixels: Iterable[tuple[float, int]]
+) -> float:
     """Return the width on each side of the die that is not scored: that of pixels, and `room_um`.
 
     Raises PixsimError if nothing would be left to score.
     """
-    spare_um, least_um = room_um(motion, exposure, camera, pitches_um), 1e3 * min(camera.die_mm, camera.height_mm)
+    spare_um, least_um = room_um(motion, exposure, camera, pixels), 1e3 * min(camera.die_mm, camera.height_mm)
     if spare_um and 2 * (border_um + spare_um) >= least_um:
         got = f"a path of up to {2 * spare_um:.4g} µm on the sensor" if motion.margin_um is None else f"a margin of {spare_um:g} µm"
         allowed = f"one that leaves something to score, a path below {max(0.0, least_um - 2 * border_um):.4g} µm, twice its margin"

@@ -488,7 +488,7 @@ class PixelPhysics:
         Dark current, full well and the ADC's range add up; gains and dark currents of four pixels vary half as much as those of
         one. The sum of Poisson counts is one. A full pixel of a sum that is not full is not seen.
         """
-        if self.pixel.colour is None or not self.pixel.colour.binning or self.bin_side > 1:
+        if self.pixel.bin_side == self.bin_side:
             return self
         count = BIN**2
         hot: dict[str, Any] = {}

@@ -12,7 +12,7 @@ from pixsim.base.records import Record, UnitInterval, as_list
 from pixsim.light.curves import QuantumEfficiency
 from pixsim.light.quantities import Fraction, Wavelength
 from pixsim.optics.quantities import FNumber
-from pixsim.sensor.colour_options import ColourOptions, efficiencies_of
+from pixsim.sensor.colour_options import BIN, ColourOptions, efficiencies_of
 from pixsim.sensor.number import Number, numbers_of
 from pixsim.sensor.quantities import (
     AreaMismatch,
@@ -292,6 +292,11 @@ class PixelOptions(Record):
         if self.codes_dn <= 0:
             raise ValueError(f"black_level_dn = {self.black_level_dn:g} is not below the highest code, {2**self.bits - 1}")
         return self
+
+    @property
+    def bin_side(self) -> int:
+        """Pixels along a side of those that are read as one."""
+        return BIN if self.colour is not None and self.colour.binning else 1
 
     @property
     def codes_dn(self) -> float:

@@ -33,7 +33,7 @@ from pixsim.sensor.photodiode import responds_linearly, saturation_level_e, stor
 from pixsim.sensor.pixel import CENTRED, PixelPhysics, Registration, derive, warn_of_disagreements, warn_of_implausible_numbers
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.quantities import MAX_CODE_BITS, Aspect, FrameBits, GainDb, Pitch, SaturatedFraction
-from pixsim.sensor.stages import moving_in
+from pixsim.sensor.stages import gains_of_rows, moving_in
 
 # Far above this mean the variance of NumPy's Poisson is wrong (+3.5 % at 1e15); a rounded normal lacks only the skewness
 # 1/√mean, 3e-5 and less.
@@ -461,6 +461,8 @@ def capture_from_rates(
 ) -> Frame:
     """Return a frame from mean photo-electron rates (rows, columns), at the gain of the exposure, with temporal noise from `rng`.
 
+    Light that flickers has these rates in its mean, on which the automatic exposure is metered.
+
     each : the rates in each exposure of a burst, whose mean is the signal, if they differ; else none
 
     Raises PixsimError if the shape is not that of the sensor, or if the electrons are too many for the numbers of the rates.
@@ -471,6 +473,12 @@ def capture_from_rates(
         raise invalid("sensor", f"{sensor.shape} pixels for a picture of {signal_e_per_s.shape}", "the same shape", hint)
     brightest_e_per_s = float(signal_e_per_s.max())
     time_s = integration_time_s(exposure, p, brightest_e_per_s)
+    if gains := gains_of_rows(time_s, len(signal_e_per_s) // p.planes, exposure, rng):
+        each = [
+            one * np.tile(gain, p.planes)[:, None] for gain, one in zip(gains, each or [signal_e_per_s] * len(gains), strict=True)
+        ]
+        signal_e_per_s = np.mean(each, axis=0)
+        brightest_e_per_s = float(signal_e_per_s.max())
     mean_e = _mean_e(signal_e_per_s, brightest_e_per_s, time_s, p)
     exposed = sensor if p is sensor.physics else replace(sensor, physics=p)
     dn, saturated_fraction = _expose(mean_e, time_s, exposed, rng, [one * (time_s / exposure.frames) for one in each])

@@ -12,16 +12,21 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+import numpy as np
+
+from pixsim.base.arrays import Array
 from pixsim.optics.lens_options import LensOptions
 from pixsim.optics.veil import veil_of
 from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.flicker import flickering
 from pixsim.sensor.motion import STANDING, Moving
 from pixsim.sensor.motion_options import VELOCITIES, motion_words
 
 # What a stage acts on, and what `act` takes beside it: the irradiance before the lens's blur, with the camera, of which it returns
 # what strays (`Veil`); how the light moves over the pixels (`Moving`), with its velocity, the time of the frame and the exposure;
+# the light of each row over its mean (`flickering`), with the time of the frame, the number of rows, the exposure and a generator;
 # the pixel as it is read, with the exposure.
-Acts = Literal["irradiance", "light", "frame"]
+Acts = Literal["irradiance", "light", "rows", "frame"]
 
 
 @dataclass(frozen=True)
@@ -53,6 +58,12 @@ def veil_words(lens: LensOptions) -> str:
     if not share:
         return ""
     return f"veiling glare {100 * share:.3g} %" if isinstance(share, float) else "veiling glare by wavelength"
+
+
+def flicker_words(exposure: Exposure) -> str:
+    """Return how the light flickers, in words; empty if it is steady."""
+    depth = exposure.flicker_depth or 0.0
+    return f"light flickers at {exposure.flicker_hz:g} Hz by {100 * depth:.3g} %" if exposure.flickers else ""
 
 
 def burst_words(exposure: Exposure) -> str:
@@ -90,6 +101,14 @@ SHUTTER = Stage(
     words=lambda exposure: f"rolling shutter, {exposure.line_time_us:g} µs a row" if exposure.line_time_s else "",
 )
 
+FLICKER = Stage(
+    name="flicker",
+    acts_on="rows",
+    settings=("exposure.flicker_hz", "exposure.flicker_depth", "exposure.flicker_phase_deg"),
+    act=flickering,
+    words=flicker_words,
+)
+
 VEIL = Stage(
     name="veiling glare",
     acts_on="irradiance",
@@ -98,7 +117,7 @@ VEIL = Stage(
     words=veil_words,
 )
 
-STAGES = {"veil": VEIL, "motion": MOTION, "shutter": SHUTTER, "merging": MERGING}
+STAGES = {"veil": VEIL, "motion": MOTION, "shutter": SHUTTER, "flicker": FLICKER, "merging": MERGING}
 
 
 def moving_in(um_per_s: tuple[float, float], time_s: float, exposure: Exposure) -> Moving:
@@ -107,6 +126,14 @@ def moving_in(um_per_s: tuple[float, float], time_s: float, exposure: Exposure) 
     for stage in acting_on("light"):
         moving = stage.act(moving, um_per_s, time_s, exposure)
     return moving
+
+
+def gains_of_rows(time_s: float, rows: int, exposure: Exposure, rng: np.random.Generator) -> tuple[Array, ...]:
+    """Return the light of each row, (rows,), in each exposure of a frame over its mean; none where all have the mean."""
+    gains: tuple[Array, ...] = ()
+    for stage in acting_on("rows"):
+        gains = stage.act(gains, time_s, rows, exposure, rng)
+    return gains
 
 
 def acting_on(what: Acts) -> list[Stage]:

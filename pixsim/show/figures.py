@@ -65,6 +65,7 @@ COLOURS = tuple(look.colour for look in LOOKS)
 TERMS = {
     "lens": ("lens (diffraction)", LOOKS[4]),
     "real lens": ("real lens, rms over the die", LOOKS[4]),
+    "motion": ("motion in an exposure", LOOKS[2]),
     "photodiode": ("photodiode", LOOKS[5]),
     "microlens": ("microlens, as wide as the pixel", LOOKS[5]),
     "opening": ("opening over the photodiode", LOOKS[5]),

@@ -227,7 +227,8 @@ def chains_of(image: SpectralImage, design: ProbeDesign, pitches_um: Sequence[fl
 
     The pitches share a scored frame. The design's pixel has its own frame unless it is at the optimum.
     """
-    imaging = replace(design.imaging, motion=STILL)  # what moves shows less of these errors
+    # What moves or flickers shows less of these errors.
+    imaging = replace(design.imaging, motion=STILL, exposure=design.imaging.exposure.steady)
     channels, pixel_um = len(imaging.physics.channels), imaging.pixel.pitch_um
     scenes = SceneCache(image, imaging.camera, imaging.display, channels, develop=imaging.develop)
     widest_um = imaging.border_um or max(pitches_um, default=pixel_um)

@@ -442,8 +442,9 @@ def lineup_of(stated: Stated, common: Lineup | None, match: Match, sensor: str |
     settings = with_view(settings, view | of_first)
     border = 0.0
     for each in found:
-        pitch_um, exposure = each.settings.pixel.pitch_um, each.settings.exposure
-        border_um = border_with_room_um(REGISTERED_BORDER * pitch_um, settings.motion, exposure, each.camera, [pitch_um])
+        pixel, exposure = each.settings.pixel, each.settings.exposure
+        border_um = REGISTERED_BORDER * pixel.pitch_um * pixel.bin_side
+        border_um = border_with_room_um(border_um, settings.motion, exposure, each.camera, [(pixel.pitch_um, pixel.bin_side)])
         border = max(border, border_um / each.camera.die_um[1])
     given = settings.scene.get(MAX_LP_PER_MM, loaded.parameters.get(MAX_LP_PER_MM))
     sensors = []

@@ -172,7 +172,7 @@ def sweep(
             for text in (*sheet_disagreements(pixel), *implausible_numbers(pixel)):
                 warn(f"pixel {name}: {text}")
             warn_of_stack_limits(imaging.physics, camera, light.wavelength_nm)
-        own = exposure, correction, develop, display, camera
+        own = exposure, correction, develop, display, camera, camera.lens_options
         names = tuple(one.name for one in judging.metrics)
         given = [
             Configuration(imaging.physics, imaging.pixel, *own, metrics=names, metric=judging.options, light=light, motion=motion)

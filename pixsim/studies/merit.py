@@ -13,6 +13,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.optics.stack import aperture_side_um
 from pixsim.sensor.integration import M2_PER_UM2, collecting_area_um2, electrons_per_joule, illumination_of
+from pixsim.sensor.motion import velocity_um_per_s
 from pixsim.sensor.noise import signal_at_snr_e, variance_e2
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.studies.extent import csf_range_lp_per_mm
@@ -20,37 +21,58 @@ from pixsim.viewer.display_options import Display
 from pixsim.viewer.mtf import mtf_terms, of_sensor
 
 if TYPE_CHECKING:
-    from pixsim.studies.result import StudyResult
+    from pixsim.studies.result import Curve, StudyResult
 
 MPE30_INTEGRATION_S = 0.030  # that of Figure 2 of Chen, Catrysse, El Gamal and Wandell (2000)
 
 
-def study_mtf_terms(result: StudyResult, physics: PixelPhysics, frequency_cy_per_mm: Array) -> dict[str, Array]:
+def longest_path_um(result: StudyResult, curve: Curve, pitch_um: float) -> float:
+    """Return the path of light that moves in an exposure, along its longer axis; 0 where nothing moves.
+
+    Between the pitches of a curve the time is interpolated.
+    """
+    motion = result.study.motion
+    if not motion.is_on:
+        return 0.0
+    um_per_s = max(map(abs, velocity_um_per_s(motion, result.camera, pitch_um)))
+    return um_per_s * float(np.interp(pitch_um, curve.pitch_um, curve.mean("integration_s")))
+
+
+def study_mtf_terms(
+    result: StudyResult, physics: PixelPhysics, frequency_cy_per_mm: Array, path_um: float = 0.0
+) -> dict[str, Array]:
     """Return `mtf_terms` with a study's light, camera and display."""
-    return mtf_terms(result.irradiance, result.camera, physics, result.study.display, frequency_cy_per_mm)
+    of_study = result.irradiance, result.camera, physics, result.study.display
+    return mtf_terms(*of_study, frequency_cy_per_mm, path_um=path_um)
 
 
-def system_mtf(result: StudyResult, physics: PixelPhysics, frequency_cy_per_mm: Array) -> Array:
+def system_mtf(result: StudyResult, physics: PixelPhysics, frequency_cy_per_mm: Array, path_um: float = 0.0) -> Array:
     """Return the MTF from scene to sensor: lens times photodiode, as in the paper's Figure 2b, or what takes its place."""
-    terms = study_mtf_terms(result, physics, frequency_cy_per_mm)
+    terms = study_mtf_terms(result, physics, frequency_cy_per_mm, path_um)
     return np.asarray(math.prod(of_sensor(terms).values()))
 
 
-def shown_mtf(result: StudyResult, physics: PixelPhysics, frequency_cy_per_mm: Array) -> Array:
+def shown_mtf(result: StudyResult, physics: PixelPhysics, frequency_cy_per_mm: Array, path_um: float = 0.0) -> Array:
     """Return the MTF from scene to display: the product of all terms."""
-    return np.prod(list(study_mtf_terms(result, physics, frequency_cy_per_mm).values()), axis=0)
+    return np.prod(list(study_mtf_terms(result, physics, frequency_cy_per_mm, path_um).values()), axis=0)
 
 
 def mtf50_cy_per_mm(
-    result: StudyResult, physics: PixelPhysics, mtf: Callable[[StudyResult, PixelPhysics, Array], Array] = system_mtf
+    result: StudyResult,
+    physics: PixelPhysics,
+    mtf: Callable[[StudyResult, PixelPhysics, Array, float], Array] = system_mtf,
+    path_um: float = 0.0,
 ) -> float:
-    """Return the lowest frequency at which `mtf` (`system_mtf` or `shown_mtf`) falls to one half."""
+    """Return the lowest frequency at which `mtf` (`system_mtf` or `shown_mtf`) falls to one half.
+
+    path_um : of light that moves, as of `mtf_terms`
+    """
     side_um = physics.aperture_side_um
     if physics.stack is not None:
         light = illumination_of(result.irradiance, result.camera, physics)
         side_um = float(aperture_side_um(physics.stack, light.pupil.at(0.0, 0.0))[0])
-    frequency = np.linspace(0.0, 1e3 / side_um, 20001)  # up to the aperture's first zero
-    values = mtf(result, physics, frequency)
+    frequency = np.linspace(0.0, 1e3 / max(side_um, path_um), 20001)  # up to the first zero of the aperture, or of the path
+    values = mtf(result, physics, frequency, path_um)
     below = int(np.argmax(values < 0.5))
     return float(np.interp(-0.5, -values[below - 1 : below + 1], frequency[below - 1 : below + 1]))
 
@@ -63,11 +85,12 @@ def detail_frequency_lp_per_mm(irradiance: SpectralImage, pitch_um: float) -> tu
 
 
 def detail_terms(
-    irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display
+    irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display, path_um: float = 0.0
 ) -> tuple[float, str, dict[str, float], dict[str, float]]:
     """Return the frequency and its name, and the MTF there of each term, to the sensor and of the display."""
     frequency, name = detail_frequency_lp_per_mm(irradiance, physics.pitch_um)
-    terms = {term: float(mtf) for term, mtf in mtf_terms(irradiance, camera, physics, display, np.array(frequency)).items()}
+    at = mtf_terms(irradiance, camera, physics, display, np.array(frequency), path_um=path_um)
+    terms = {term: float(mtf) for term, mtf in at.items()}
     sensor = of_sensor(terms)
     return frequency, name, sensor, {term: mtf for term, mtf in terms.items() if term not in sensor}
 

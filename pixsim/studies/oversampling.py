@@ -494,8 +494,9 @@ def _mean_delta_e(
 
     lights : of each part behind the lens, where they are known
     """
-    # Each part has the border of its own pixels; what moves shows less of the film.
-    own, physics = replace(imaging, border_um=None, single=False, motion=STILL), imaging.physics
+    # Each part has the border of its own pixels; what moves or flickers shows less of the film.
+    steady, physics = imaging.exposure.steady, imaging.physics
+    own = replace(imaging, border_um=None, single=False, motion=STILL, exposure=steady)
     chains: dict[int, ImagingChain] = {}
     delta_e, cells = np.empty(len(parts)), sum(math.prod(part.shape) for part, _ in parts)
 

@@ -179,7 +179,8 @@ def prepare(
     of_sheet = settings.pixel.technology == NO_TECHNOLOGY
     view = choose_view(pitch_um, camera, settings.display, scene) if of_sheet else {}
     check_pixel_count(pixels_on(camera.die_um, pitch_um), pitch_um)
-    border_um = scored_border_um(derive(settings.pixel), settings.motion, settings.exposure, camera) or pitch_um
+    physics = derive(settings.pixel)
+    border_um = scored_border_um(physics, settings.motion, settings.exposure, camera) or physics.as_read.border_um
     dot_edges_um(camera.die_um, pitch_um, settings.display, border_um)
     complete = with_view(settings, view).model_copy(update={"camera": whole.options})
     seen = known if scene is None else scene_with_view(scene, view)

@@ -99,8 +99,12 @@ def border_on_um(study: Study, camera: Camera) -> float:
     """
     if not study.motion.is_on:
         return study.border_um
-    ends_um = [float(um) for name in study.technologies for um in study_pitches_um(study, name)[[0, -1]]]
-    return border_with_room_um(study.border_um, study.motion, study.exposure, camera, (*ends_um, study.pitch.largest_um))
+    pixels = [
+        (float(um), study.options_of(name).bin_side)
+        for name in study.technologies
+        for um in (*study_pitches_um(study, name)[[0, -1]], study.pitch.largest_um)
+    ]
+    return border_with_room_um(study.border_um, study.motion, study.exposure, camera, pixels)
 
 
 def first_sampling(study: Study) -> Sampling:

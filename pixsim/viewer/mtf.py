@@ -30,16 +30,18 @@ def mtf_terms(
     display: Display,
     frequency_cy_per_mm: Array,
     dot_um: float | None = None,
+    path_um: float = 0.0,
 ) -> dict[str, Array]:
-    """Return the MTF of each term along an axis: lens, photodiode, interpolation and dot, (...) as the frequencies, 0 to 1.
+    """Return the MTF of each term along an axis: lens, motion, photodiode, interpolation, dot, (...) as the frequencies, 0 to 1.
 
     The lens term is white-light diffraction, weighted by the scene's light and the pixel's response; of a real lens, in its
-    place, `real lens`: the rms of its MTF over the die. The first two terms are
+    place, `real lens`: the rms of its MTF over the die. Lens and photodiode are
     those of Chen et al. (2000), section 2.2. The last two belong to the display: its interpolation between pixel centres, and
     the mean over a dot. A `one_to_one` display has neither. In the place of the photodiode, pixels with a stack have that of
     `stack_mtf_terms`.
 
     dot_um : side of a dot on the sensor; None means that of the whole picture
+    path_um : of light that moves in an exposure, along the axis
     """
     response = electrons_per_joule(physics, irradiance)
     weight = response * irradiance.mean_spectrum()
@@ -51,6 +53,8 @@ def mtf_terms(
         terms = {"real lens": traced}
     else:
         terms = {"lens": white_otf(frequency_cy_per_mm, irradiance.wavelength_nm, share, camera.effective_f_number)}
+    if path_um:
+        terms["motion"] = np.abs(np.sinc(1e-3 * path_um * frequency_cy_per_mm))
     if physics.stack is None:
         terms["photodiode"] = square_aperture_mtf(frequency_cy_per_mm, physics.photodiode_side_um)
     else:

@@ -1,9 +1,10 @@
 """What a frame's noise and its mean ΔE are made of, cause by cause: each is switched off in turn, and stays off.
 
-Noise first, from the codes back to the light: rounding by the ADC, then each source of `pixsim.sensor.noise` from the last to the
-first, shot noise of dark charge, and that of light; then noise reduction, for what it blurs. Then what `delta_e_parts` tells of
-colours: mosaic, crosstalk and shading, colour error. Then motion, and the blur in the order of the light: veiling glare, lens,
-light and charge of neighbours, sampling and the display's interpolation, and the pixel's aperture. What is left is the remainder.
+Light that flickers first, which is steady for all else. Then noise, from the codes back to the light: rounding by the ADC, each
+source of `pixsim.sensor.noise` from the last to the first, shot noise of dark charge, and that of light; then noise reduction, for
+what it blurs. Then what `delta_e_parts` tells of colours: mosaic, crosstalk and shading, colour error. Then motion, and the blur
+in the order of the light: veiling glare, lens, light and charge of neighbours, sampling and the display's interpolation, and the
+pixel's aperture. What is left is the remainder.
 
 Variances add: those of all causes together are that of the frame. Contributions to ΔE do not: where several faults hide one
 another, a cause takes off more the later it is switched off, and one that is nearly nothing may take off a little less than 0, by
@@ -48,7 +49,7 @@ from pixsim.viewer.score import ImagingChain, PreparedScene, shown
 REDUCTION = "noise reduction"
 SHOT, DARK, ROUNDING = "shot noise of light", "shot noise of dark charge", "rounding by the ADC"
 SAMPLING, APERTURE = "sampling and interpolation", "pixel aperture"
-MOTION, VEIL, LENS, NEIGHBOURS = "motion", "veiling glare", "lens", "neighbours"
+FLICKER, MOTION, VEIL, LENS, NEIGHBOURS = "flicker of the light", "motion", "veiling glare", "lens", "neighbours"
 MORE_BITS = 8  # of an ADC that rounds 256 times finer
 
 
@@ -91,6 +92,11 @@ def noise_budget(
     light, chain : of the pixel
     key : of the sensor and the frame, as of `ImagingChain.simulate`
     """
+    if chain.exposure.flickers:
+        whole = chain.simulate(*key).mean_delta_e
+        steady = noise_budget(irradiance, camera, physics, light, replace(chain, exposure=chain.exposure.steady), *key)
+        delta_e = {FLICKER: whole - steady.mean_delta_e} | steady.delta_e
+        return replace(steady, mean_delta_e=whole, delta_e=delta_e)
     frame = chain.capture(*key)
     time_s = frame.integration_s
     variances = variances_of(chain, time_s)

@@ -382,7 +382,7 @@ def _mtf_along(chain: ImagingChain, along: Array | None = None) -> tuple[Array, 
 
 def _mtf50(judged: Judged) -> tuple[float]:
     along, mtf = _mtf_along(judged.chain)
-    if path_um := max(map(abs, judged.chain.moving.path_um)):  # before the first zero of a long path, which the table may leave out
+    if path_um := judged.chain.moving.longest_um:  # before the first zero of a long path, which the table may leave out
         along, mtf = _mtf_along(judged.chain, np.linspace(0.0, min(float(along[-1]), 1e3 / path_um), TABLE_POINTS))
     found = mtf50(along, mtf)
     return (float(along[-1]) if found is None else found,)

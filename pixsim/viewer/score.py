@@ -79,7 +79,7 @@ from pixsim.viewer.judges.information_density import radial_spectrum
 from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.metrics import DELTA_E, Metric, MetricContext, NoNumberError, delta_e_statistics, percentiles
-from pixsim.viewer.raw_metrics import OF_TARGETS, has_target
+from pixsim.viewer.raw_metrics import OF_TARGETS, has_target, moments_of_codes
 from pixsim.viewer.scielab import (
     SINGLE_DELTA_E,
     colour_delta_e_map,
@@ -507,7 +507,7 @@ class ImagingChain:
         count = max(2, math.floor(side * pitch_um / dot_um) - 2)  # but those at the edges
         edges_um = side * pitch_um / 2 + (np.arange(count + 1.0) - count / 2) * min(dot_um, side * pitch_um / count)
         rates = np.maximum(self.rendition.responses, 0.0) * np.array(self.whites_e_per_s)
-        exposure = lasting(self.exposure, integration_s)
+        exposure = lasting(self.exposure.steady, integration_s)
         whole = replace(self.screen, size_um=(side * pitch_um, side * pitch_um), dot_edges_um=(edges_um, edges_um))
         display = screen.display.model_copy(update={"dots": max(8, count)})  # decides on the order of the axes alone
         physics = replace(physics, pixel=physics.pixel.model_copy(update={"registration": None}))
@@ -1207,8 +1207,9 @@ def make_imaging_chain(
 
 def scored_border_um(physics: PixelPhysics, motion: Motion, exposure: Exposure, camera: Camera) -> float | None:
     """Return the border of a frame that is scored alone, with room for what moves; None: that of the pixel."""
-    border_um = physics.as_read.border_um
-    return border_with_room_um(border_um, motion, exposure, camera, [physics.pitch_um]) if motion.is_on else None
+    read = physics.as_read
+    room_of = motion, exposure, camera, [(read.pitch_um, read.bin_side)]
+    return border_with_room_um(read.border_um, *room_of) if motion.is_on else None
 
 
 def warn_of_other_camera(irradiance: SpectralImage, camera: Camera) -> None:
@@ -1345,7 +1346,6 @@ DARK_NODES = 64  # of equal weight, for the ordinary pixels and for the hot ones
 FEW_E = 100.0  # the Poisson law is summed up to this dark charge; above, 10 σ from 0, a normal law clips nothing by itself
 POISSON_TERMS = 200  # 10 σ above `FEW_E`
 NO_NOISE_DN = 1e-9  # σ used in place of 0
-COARSE_DN = 8.0  # σ above which a sum over codes is the integral within 1/(24 σ²), 7e-4
 
 
 def dark_clip(physics: PixelPhysics, integration_s: float, white_e: float) -> dict[str, float]:
@@ -1368,7 +1368,7 @@ def dark_clip(physics: PixelPhysics, integration_s: float, white_e: float) -> di
     least_black_level_dn : `pixsim.sensor.least_black_level_dn`
     gain_db : of the exposure, without which the black level would have room
 
-    >>> from pixsim.pixel import derive
+    >>> from pixsim.sensor.pixel import derive
     >>> from pixsim import Pixel
     >>> clip = dark_clip(derive(Pixel()), 0.03, white_e=5e4)  # no black level: half of the dark levels, σ of 209 e-
     >>> round(clip["at_zero_fraction"], 2), round(clip["too_bright_e"]), clip["least_black_level_dn"]
@@ -1400,7 +1400,8 @@ def dark_clip(physics: PixelPhysics, integration_s: float, white_e: float) -> di
     charge_e = np.concatenate([counts, many])
     weight = np.concatenate([poisson, share[~is_few]])
     sigma_dn = np.sqrt(noise_dn**2 + gain**2 * np.concatenate([np.zeros(counts.size), many]))
-    at_zero, excess_dn = clipped_at_zero(p.pixel.black_level_dn + gain * charge_e, sigma_dn)
+    level_dn, sigma_dn = p.pixel.black_level_dn + gain * charge_e, np.maximum(sigma_dn, NO_NOISE_DN)
+    at_zero, excess_dn = ndtr((0.5 - level_dn) / sigma_dn), moments_of_codes(-level_dn, sigma_dn)[0]  # codes below 0, mirrored
     too_bright_e = float(weight @ excess_dn) / gain
     of_white = min(too_bright_e / white_e, 1.0)
     return {
@@ -1413,17 +1414,6 @@ def dark_clip(physics: PixelPhysics, integration_s: float, white_e: float) -> di
         "least_black_level_dn": least_black_level_dn(p, integration_s),
         "gain_db": p.gain_db,
     }
-
-
-def clipped_at_zero(mean_dn: Array, sigma_dn: Array) -> tuple[Array, Array]:
-    """Return P(0) of normal levels (n,) rounded and clipped at 0, and the increase of their mean (DN)."""
-    sigma = np.maximum(sigma_dn, NO_NOISE_DN)
-    reach = mean_dn / sigma
-    excess = sigma * np.exp(-(reach**2) / 2) / math.sqrt(2 * math.pi) - mean_dn * ndtr(-reach)
-    fine = sigma <= COARSE_DN
-    codes = np.arange(math.ceil(8 * COARSE_DN))[:, None]  # the terms beyond 8 σ are below 1e-15
-    excess[fine] = ndtr((-0.5 - codes - mean_dn[fine]) / sigma[fine]).sum(axis=0)
-    return ndtr((0.5 - mean_dn) / sigma), excess
 
 
 HIDDEN_DN = 0.05  # shift of the dark mean that rounding hides: a sixth of its error, 1/√12 DN

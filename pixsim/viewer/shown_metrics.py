@@ -38,12 +38,11 @@ def _acutance(judged: Judged) -> tuple[float]:
     on_sensor = frequency / judged.mm_per_deg
 
     def compute() -> float:
-        terms = mtf_terms(facts.mean, facts.camera, chain.physics, display, on_sensor, chain.screen.dot_um)
+        of_chain = chain.physics, display, on_sensor, chain.screen.dot_um, chain.moving.longest_um
+        terms = mtf_terms(facts.mean, facts.camera, *of_chain)
         if chain.develop.sharpens:
             cy_per_px = 1e-3 * chain.physics.read_pitch_um * on_sensor
             terms["sharpening"] = unsharp_response(cy_per_px, chain.develop.sharpen_amount, chain.sharpen_px)
-        # Along the axis of the longer path.
-        terms["motion"] = np.sinc(1e-3 * max(map(abs, chain.moving.path_um)) * on_sensor)
         return acutance(frequency, np.abs(np.prod(list(terms.values()), axis=0)))
 
     sharpened = chain.develop.sharpen_amount, chain.sharpen_px if chain.develop.sharpens else 0.0
@@ -75,7 +74,7 @@ def _visual_noise(judged: Judged) -> tuple[float]:
     even = np.full(chain.signal_e_per_s.shape, GREY * chain.white_e_per_s)
     if chain.even is not None and (chain.shading is not None or chain.correction.flat_frames):
         even *= chain.even  # by which the picture is divided
-    patch = replace(chain, signal_e_per_s=even, exposure=lasting(chain.exposure, time_s))
+    patch = replace(chain, signal_e_per_s=even, exposure=lasting(chain.exposure.steady, time_s))
     key = (*judged.stream, judged.number, "visual noise")
     frame = patch.capture_with(stream(*key, "sensor"), stream(*key, "frame"), stream(*key, "correction"))
     if frame.saturated_fraction > FEW_FULL:

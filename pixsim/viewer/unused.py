@@ -281,7 +281,15 @@ def of_without(c: Configuration) -> str:
 def of_line_time(c: Configuration) -> str:
     if c.exposure.shutter == "global":
         return "it is about exposure.shutter = 'rolling'"
-    return "" if c.motion.is_on else "nothing moves"
+    return of_shutter(c)
+
+
+def of_shutter(c: Configuration) -> str:
+    return "" if c.motion.is_on or c.exposure.flickers else "nothing moves, and the light is steady"
+
+
+def of_flicker(c: Configuration) -> str:
+    return "" if c.exposure.flickers else f"exposure.flicker_{'hz is not given' if c.exposure.flicker_hz is None else 'depth is 0'}"
 
 
 def of_plane(c: Configuration) -> str:
@@ -342,8 +350,10 @@ RULES = (
         ("exposure.max_integration_s", "exposure.well_target"),
         lambda c: "exposure.integration_s states the time" if c.exposure.integration_s else "",
     ),
-    Rule(("exposure.shutter",), lambda c: "" if c.motion.is_on else "nothing moves"),
+    Rule(("exposure.shutter",), of_shutter),
     Rule(("exposure.line_time_us",), of_line_time),
+    Rule(("exposure.flicker_hz", "exposure.flicker_phase_deg"), of_flicker),
+    Rule(("exposure.flicker_depth",), lambda c: of_flicker(c) if c.exposure.flicker_hz is None else ""),
     Rule(("motion.distance_m",), of_plane),
     Rule(("motion.margin_um",), lambda c: "" if c.motion.is_on else "nothing moves"),
     Rule(("exposure.frame_time",), lambda c: "" if c.exposure.frames > 1 else "exposure.frames is 1"),

@@ -16,7 +16,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
-from itertools import cycle
+from itertools import cycle, product
 from pathlib import Path
 from statistics import median
 from unittest import mock
@@ -117,15 +117,6 @@ def targets() -> None:
         chain_at_pitch(light, physics, EXPOSURE).simulate(1).statistics()
 
     row("sense, display, score of a 512² frame", 0.08, evaluation)
-    room = prepare_scene(film, CAMERA, physics, DISPLAY, single=True, border_um=100.0)
-    numbers = itertools.count()  # another path each time, as of pixel sizes with other exposure times
-    for words, velocity in {"still": (0.0, 0.0), "across": (800.0, 0.0), "down": (0.0, 800.0), "both": (800.0, 500.0)}.items():
-
-        def moving(velocity: tuple[float, float] = velocity) -> None:
-            x, y = (speed * (1 + 1e-6 * next(numbers)) for speed in velocity)
-            chain_at_pitch(room, physics, EXPOSURE, um_per_s=(x, y)).simulate(1).statistics()
-
-        row(f"the same of light that moves: {words}", None, moving)
 
 
 def unavoidable(chain: ImagingChain) -> dict[str, Work]:
@@ -235,6 +226,44 @@ def lenses() -> None:
         print(f"{n:20}²: {thin_s:10.3f} {phone_s:8.3f} {phone_s / thin_s:6.1f} {first_s - phone_s:8.2f}", flush=True)
 
 
+ROLLING = Exposure(shutter="rolling", line_time_us=5.0)
+VELOCITIES = {
+    "still": ((0.0, 0.0), EXPOSURE),
+    "across": ((800.0, 0.0), EXPOSURE),
+    "down": ((0.0, 800.0), EXPOSURE),
+    "slanted": ((800.0, 500.0), EXPOSURE),
+    "across, rolling": ((800.0, 0.0), ROLLING),
+}  # µm/s of the image: 1 to 6 pixels in an exposure
+
+
+def motion() -> None:
+    """Evaluations of light that moves against those of light that stands still: one frame, or some, of each integration time."""
+    print("\nframes of light that moves, times those of light that stands still: median of turns, and ms of processors")
+    film, numbers = chart(1024), itertools.count()
+    for pitch_um, frames in product(PITCHES_UM, (1, 8)):
+        physics = derive(Pixel(pitch_um=pitch_um))
+        room = prepare_scene(film, CAMERA, physics, DISPLAY, single=True, border_um=100.0)
+        room.store_integrals()
+
+        def evaluation(
+            velocity: tuple[float, float],
+            exposure: Exposure,
+            frames: int = frames,
+            room: PreparedScene = room,
+            physics: PixelPhysics = physics,
+        ) -> None:
+            longer = 1 + 1e-6 * next(numbers)  # as of another time
+            x, y = longer * velocity[0], longer * velocity[1]
+            chain = chain_at_pitch(room, physics, exposure, um_per_s=(x, y))
+            for frame in range(frames):
+                chain.simulate(frame).statistics()
+
+        times = turns({name: partial(evaluation, *own) for name, own in VELOCITIES.items()})
+        ratios = {name: median(a / b for a, b in zip(each, times["still"], strict=True)) for name, each in times.items()}
+        text = ", ".join(f"{name} {ratio:.2f} ({1e3 * min(times[name]):.1f})" for name, ratio in ratios.items())
+        print(f"{frames:8} frames of {pitch_um:g} µm: {text}", flush=True)
+
+
 MAX_COLOUR_RATIO = 2.5  # of the time of an evaluation with colour filters to that of one without
 
 
@@ -262,5 +291,6 @@ if __name__ == "__main__":
     targets()
     parts()
     colour()
+    motion()
     with tempfile.TemporaryDirectory() as folder, mock.patch.dict(os.environ, {FOLDER_VARIABLE: folder}):  # no PSFs of a run before
         lenses()

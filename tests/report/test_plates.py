@@ -27,7 +27,9 @@ from pixsim.report.paper import figure_2a, figure_2b, map_plates, scene_plates
 from pixsim.report.pictures import MAX_TICKS, picture_axes
 from pixsim.report.study import light_against_detail, optimum_against_technology, other_statistics
 from pixsim.report.views import study_pictures
+from pixsim.report.wording import blur_words
 from pixsim.scene.charts import DIE_MM
+from pixsim.sensor.motion_options import Motion
 from pixsim.show.figures import ISO_SMOOTHING_DOTS, label_axes, new_figure, own_style, svg_text
 from pixsim.show.pages import Plate
 from pixsim.show.render import answer_and_rest
@@ -288,6 +290,23 @@ def test_light_against_detail_draws_terms(plates: dict[str, Plate], tiny_result:
     curve = tiny_result.curves[0]
     nyquist = 1e3 / (2 * curve.optimum.pitch_um)
     assert f"lens_mtf_at_{nyquist / 2:.3g}_lp_per_mm" in light_against_detail(elsewhere, curve).table
+
+
+def test_light_against_detail_has_the_path_of_what_moves(tiny_result: StudyResult) -> None:
+    """170 µm/s in the time of its exposure, |sinc(f v t)|."""
+    motion = Motion(image_um_per_s=(0.0, -170.0))
+    moving, curve = replace(tiny_result, study=tiny_result.study.model_copy(update={"motion": motion})), tiny_result.curves[0]
+    plate = light_against_detail(moving, curve)
+    path_mm = 0.17 * curve.mean("integration_s")
+    assert path_mm.max() > 5e-4
+    along = column(plate, "motion_mtf_at_33.3_lp_per_mm")
+    np.testing.assert_allclose(along, np.abs(np.sinc(path_mm * 1e3 / 30)), rtol=1e-12)
+    assert is_drawn(plate, np.array(PITCHES_UM), along, panel=1)
+    mtf50, physics = column(plate, "mtf50_lp_per_mm")[2], pixsim.derive(pixel_of(tiny_result.study, "0.35um", 7.0))
+    left = system_mtf(tiny_result, physics, np.array(mtf50)) * np.sinc(path_mm[2] * mtf50)
+    assert left == pytest.approx(0.5, abs=1e-6)
+    blur = blur_words(moving.irradiance, moving.camera, physics, moving.study.display, 1e3 * path_mm[2])
+    assert f"that of the motion {along[2]:.3f} and that of the photodiode" in blur
 
 
 def test_optimum_against_technology_values(plates: dict[str, Plate]) -> None:

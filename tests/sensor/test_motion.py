@@ -69,14 +69,20 @@ def test_contrast_of_a_wave_is_sinc(path_um: float, half_periods: int, axis: int
     np.testing.assert_allclose(moved(picture, STANDING)[5:-5, 5:-5], still[5:-5, 5:-5], rtol=1e-4)
 
 
-def test_contrast_along_a_slanted_path_is_sinc_of_both_axes() -> None:
+# From a thousandth of a pixel to a thousand; waves whose fronts lie along the path; a path that is slanted by rounding only.
+@pytest.mark.parametrize("path", [(2e-3, 1e-3), (17.0, -9.0), (12.0, 12.0), (12.0, 12.0 + 1e-9), (2000.0, -900.0), (5.0, 1e-13)])
+@pytest.mark.parametrize("cycles", [(30.0, 24.0), (160.0, 120.0)])
+def test_contrast_along_a_slanted_path_is_sinc_of_both_axes(path: tuple[float, float], cycles: tuple[float, float]) -> None:
     """cos a cos b along (u, v) is (cos(a + b) + cos(a - b))/2, each of which keeps the sinc of its own frequency along the path."""
-    shape, cycles, path = (400, 300), (30.0, 24.0), (17.0, -9.0)
+    shape = (400, 300)
     picture = wave(shape, cycles)
     down, across = (cycle / 2 / count * length for cycle, count, length in zip(cycles, shape, path, strict=True))
     found = contrast(moved(picture, Moving(path)), moved(picture, STANDING))
     assert found == pytest.approx((np.sinc(down + across) + np.sinc(down - across)) / 2, abs=1e-6)
-    # A wave front along the path keeps all of its contrast; one across it loses the most.
+
+
+def test_fronts_along_a_slanted_path_keep_their_contrast() -> None:
+    """And those across it lose the most."""
     rows, columns = np.indices((300, 300))
     for sign, kept in ((-1, np.sinc(0.0)), (1, np.sinc(2 * 12.0 / 40))):
         slanted = 1 + 0.5 * np.cos(2 * math.pi * (rows + sign * columns) / 40)
@@ -249,6 +255,17 @@ def test_units_of_one_velocity_leave_the_same_room() -> None:
     each = Motion(pixels_per_s=(1e4, 0.0)), Motion(image_um_per_s=(4e4, 0.0))
     first, other = (scored_border_um(derive(pixel), motion, exposure, camera) for motion in each)
     assert first == other == pytest.approx(derive(pixel).as_read.border_um + 20.0)
+    # The lines of a rolling shutter are those that are read: half as many.
+    rolling = exposure.model_copy(update={"shutter": "rolling", "line_time_us": 1.0})
+    lines = 1e3 * camera.height_mm / 8.0
+    found = scored_border_um(derive(pixel), Motion(image_um_per_s=(4e4, 0.0)), rolling, camera)
+    assert found == pytest.approx(derive(pixel).as_read.border_um + 20.0 + 0.04 * lines / 2)
+    study = Study(
+        name="a", exposure=rolling, motion=Motion(image_um_per_s=(4e4, 0.0)), technologies=["4t-bsi"],
+        pixel=pixel.model_dump(exclude_unset=True, exclude={"technology", "pitch_um"}),
+        pitch={"values_um": [4.0, 5.0, 6.0, 7.0, 8.0]},
+    )  # fmt: skip
+    assert border_on_um(study, camera) == pytest.approx(study.border_um + 20.0 + 0.04 * lines / 2)
 
 
 @pytest.mark.parametrize("margin_um", [None, 60.0])

@@ -119,6 +119,13 @@ def prepared(files: list[Path], **options: Any) -> Lineup:
     return prepare(files, scene, match=match, repeats=2, options=options).shown
 
 
+def test_border_is_that_of_what_is_read(tmp_path: Path) -> None:
+    """Binned pixels of 20 µm are read as such of 40 µm."""
+    colour = 'pattern = "quad_rggb"\nbinning = true\nsensitivities = "Sony_ILCE-7M4"\npeak_quantum_efficiency = 0.6\n'
+    files = [sheet(tmp_path / f"{name}.toml", more=f"[pixel.colour]\n{colour}") for name in ("a", "b")]
+    assert prepared(files, scene_file="macbeth").border == pytest.approx(1.5 * 40.0 / (64 * 20.0), rel=1e-12)
+
+
 @pytest.mark.parametrize("match", ["view", "lens", "own"])
 def test_prepare_scores_one_part_of_the_scene(match: str, tmp_path: Path) -> None:
     """Dots, borders and charts are the same fractions of every field, whatever the pixels."""

@@ -153,6 +153,7 @@ MOVES: dict[str, Any] = {
     "pixel.colour.peak_quantum_efficiency": 0.2,
     "exposure.integration_s": 1e-4, "exposure.max_integration_s": 1e-6, "exposure.well_target": 0.5, "exposure.gain_db": 6.0,
     "exposure.frames": 3, "exposure.frame_time": "each", "exposure.shutter": "rolling", "exposure.line_time_us": 5.0,
+    "exposure.flicker_hz": 120.0, "exposure.flicker_depth": 0.4, "exposure.flicker_phase_deg": 70.0,
     "motion.velocity_mm_per_s": [9.0, 0.0], "motion.image_um_per_s": [1.0, 0.5], "motion.pixels_per_s": [0.0, 1.0],
     "motion.distance_m": 0.02, "motion.margin_um": 9.0,
     "correction.dark_frames": 3, "correction.flat_frames": 3, "correction.flat_level": 0.3, "correction.column_clamp": 3,
@@ -169,6 +170,7 @@ MOVES: dict[str, Any] = {
 }  # fmt: skip
 # Without which a setting is refused, or has nothing to act on.
 AT_20 = {"e_per_s": 1e6, "at_c": 20.0}
+FLICKERS = {"flicker_hz": 50.0, "flicker_depth": 0.9, "flicker_phase_deg": 0.0}
 HOT = {"hot_pixel_fraction": 0.05, "hot_pixel_median": 90.0}
 MOVES |= {  # numbers that need no value of their own here; a plausible one may be lost beside others
     f"pixel.{name}": (number.example, 100 * number.example) for name, number in NUMBERS.items() if f"pixel.{name}" not in MOVES
@@ -184,6 +186,9 @@ BESIDE: dict[str, dict[str, Any]] = {
     "pixel.colour": QUICK_FIT,
     "exposure.shutter": {"exposure": {"line_time_us": 1e5}, "motion": {"image_um_per_s": [1.0, 0.5]}},
     "exposure.line_time_us": {"exposure": {"shutter": "rolling", "line_time_us": 1e5}, "motion": {"image_um_per_s": [1.0, 0.5]}},
+    "exposure.flicker_hz": {"exposure": FLICKERS},
+    "exposure.flicker_depth": {"exposure": FLICKERS},
+    "exposure.flicker_phase_deg": {"exposure": FLICKERS},
     "motion.distance_m": {"motion": {"velocity_mm_per_s": [0.1, 0.0]}},
     "motion.margin_um": {"motion": {"image_um_per_s": [1.0, 0.5]}},
     "exposure.frame_time": {"exposure": {"frames": 3, "integration_s": 1e-4}},
@@ -395,6 +400,14 @@ def test_settings_of_metrics_in_calls_with_records_say_so() -> None:
         assert found == {snr, without}
         with pytest.warns(UserWarning, match=r"metric\.information\.contrast is not used: information is not among the metrics"):
             call(**asked)
+
+
+def test_settings_of_lenses_in_calls_with_records_say_so() -> None:
+    light, pixel = picture(np.arange(405.0, 700.0, 10.0)), Pixel(pitch_um=20.0)
+    camera = camera_with_lens(Camera(), CameraOptions(), LensOptions(veiling_glare_outside=0.5))
+    for call in (partial(pixsim.evaluate, light, pixel=pixel), partial(pixsim.sweep, light, [pixel], jobs=1)):
+        with pytest.warns(UserWarning, match=r"lens\.veiling_glare_outside is not used: lens\.veiling_glare is 0"):
+            call(camera=camera, display=Display(dots=32))
 
 
 def test_rules_name_settings_that_exist() -> None:
