@@ -46,7 +46,7 @@ def exact() -> bool:
 @pytest.mark.slow
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
 def test_page_blocks_give_shown_output(path: Path, exact: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Three minutes in total; part of `.ci/run`."""
+    """Part of `.ci/run`."""
     monkeypatch.setenv("MPLBACKEND", "agg")
     page = Page(path, tmp_path, exact)
     page.check()
