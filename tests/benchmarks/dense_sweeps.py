@@ -45,6 +45,12 @@ def gate(luminance_cd_per_m2: float, f_number: float, count: int) -> pixsim.Stud
     return pixsim.Study.model_validate(GATE | {"scene": scene, "pitch": pitch, "camera": camera})
 
 
+def beside_an_end(count: int, **more: Any) -> pixsim.Study:
+    """The paper's pixel with its response scaled: its best size is beside the least that is possible."""
+    pitch = {"min_fill_factor": 0.05, "max_um": 15.0, "count": count}
+    return pixsim.Study.model_validate({"name": "open", "scene": {"file": "csf"}, "pitch": pitch} | more)
+
+
 def studies() -> dict[str, pixsim.Study]:
     """Studies by the name of their data file."""
     one_to_one = {"display": {"raster": "one_to_one", "white_cd_per_m2": 1000.0}}
@@ -54,6 +60,7 @@ def studies() -> dict[str, pixsim.Study]:
         "flat": gate(20.0, 8.0, 60),  # diffraction exceeds most of the pixel sizes
         "near_an_end": chen2000("0.5um", 60),
         "at_the_end": chen2000("0.35um", 60, **one_to_one),
+        "beside_an_end": beside_an_end(60),
         "skewed": chen2000("0.18um", 80),
     }
 

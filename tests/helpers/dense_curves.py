@@ -27,6 +27,7 @@ from pixsim.studies.study_file import load_study
 DATA = Path(__file__).parents[1] / "data" / "dense_sweeps"
 # Of the sweeps of chen2000; in the others the photodiode width is proportional to the pitch.
 TECHNOLOGIES = {"chen2000_0.35um": "0.35um", "near_an_end": "0.5um", "at_the_end": "0.35um", "skewed": "0.18um"}
+TECHNOLOGIES["beside_an_end"] = "0.35um"
 SENSORS = 8  # at each pitch of a sweep
 STIFFNESSES = np.geomspace(0.1, 10.0, 21)  # relative to the least mean ΔE
 RESIDUALS = np.arange(0.0, 2.1, 0.25)  # relative to the standard error at a pitch of a sweep

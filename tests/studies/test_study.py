@@ -465,20 +465,6 @@ def interrupted(results: Iterator[Any]) -> Iterator[Any]:
     raise KeyboardInterrupt
 
 
-@pytest.mark.slow
-def test_study_chen2000_matches_paper(tmp_path: Path) -> None:
-    """Chen et al. (2000), figure 7: 6.5 µm in 0.35 µm CMOS. They do not state lens, response, ADC and display: ± 0.6 µm."""
-    curves = {curve.technology: curve for curve in pixsim.study("chen2000", tmp_path, quick=True).curves}
-    curve = curves["0.35um"]
-    best = curve.optimum
-    assert best.inside
-    assert best.pitch_um == pytest.approx(6.5, abs=0.6)
-    assert best.half_width_um <= 0.1, "what the study asks for"
-    mean = curve.mean()
-    assert mean[0] > 1.3 * best.mean_delta_e, "noise: 5 % fill factor"
-    assert mean[-1] > 1.3 * best.mean_delta_e, "blur: 15 µm"
-
-
 def test_quick_says_what_it_found() -> None:
     """A study without the table, and one whose table sets only what options set too; what they leave of it holds."""
     with pytest.warns(UserWarning, match=r"^the study tiny has no \[quick\] table: running it in full"):

@@ -357,7 +357,7 @@ def test_commands_invalid_input_print_one_message(line, message, tmp_path, monke
 @pytest.mark.slow  # test_preparation estimates the white of a study
 def test_run_scene_without_white_meets_tolerance(tmp_path):
     source = edited(tmp_path, "macbeth", ('<default name="white_cd_per_m2"', '<default name="unused_white"'))
-    result = run(source, "--resolution 32 -D spp=4 --tolerance-delta-e 5 --max-seconds 5", tmp_path / "out")
+    result = run(source, "--resolution 32 -D spp=4 --tolerance-delta-e 5 --max-seconds 1", tmp_path / "out")
     assert "error_budget" in result
     assert result["err"].count("does not define its white") == 1
 
