@@ -7,6 +7,7 @@ import re
 import tomllib
 import warnings
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,18 +17,21 @@ from helpers.commands import command
 from helpers.tiny import rows, tiny, tiny_toml, toml_of
 
 import pixsim
+from pixsim.base.errors import PixsimError
 from pixsim.base.toml import read_toml
 from pixsim.cli.options import SceneOptions
 from pixsim.measure import datasheet
-from pixsim.measure.datasheet import make_datasheet
+from pixsim.measure.datasheet import datasheet_settings, make_datasheet
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import implausible_numbers, sheet_disagreements
 from pixsim.sensor.pixel_options import Pixel, is_data_sheet
 from pixsim.show.render import BELOW
+from pixsim.studies.lineup import sensor_layer
 from pixsim.studies.pixels import technology_of
 from pixsim.studies.preparation import check_technologies, prepare
 from pixsim.studies.study_file import load_study
 from pixsim.studies.study_settings import Study
+from pixsim.viewer.settings_file import packaged_sensors, run_settings, settings_layer
 
 SHEET: dict[str, Any] = {
     "pitch_um": 30.0, "full_well_e": 12000.0, "read_noise_e": 6.5, "dark_current_e_per_s": 125.0, "quantum_efficiency": 0.6,
@@ -194,6 +198,38 @@ def test_sheets_are_the_published_ones() -> None:
         for number, line in enumerate(lines):
             if " = " in line and not line.startswith("#"):
                 assert lines[number - 1].startswith("#") or "temperature_k" in line, f"{path.name}, line {number + 1}: no source"
+
+
+PACKAGED = packaged_sensors()
+
+
+def test_numbers_of_packaged_sensors_have_their_sources() -> None:
+    """A comment above each number names who published it, or that it is an assumption."""
+    for path in PACKAGED.values():
+        lines = path.read_text(encoding="utf-8").splitlines()
+        bare = [line for above, line in pairwise(lines) if re.match(r"\w+ = ", line) and not above.startswith("#")]
+        assert not bare, path.name
+    assert {"imx363", "imx477"} <= set(PACKAGED)
+
+
+def test_packaged_sensor_is_its_file_wherever_a_settings_file_stands() -> None:
+    """Run, study, comparison, among the technologies of a study, and data sheet."""
+    name, path = "imx477", PACKAGED["imx477"]
+    expected = run_settings(path, {}).pixel
+    assert run_settings(name, {}).pixel == expected
+    assert sensor_layer(name).table == settings_layer(path).table
+    assert load_study("pixel-size", config=name).pixel == load_study("pixel-size", config=path).pixel
+    with pytest.warns(UserWarning, match=r"imx477: only \[pixel\] is used"):
+        study = load_study("pixel-size", technologies=[name, "4t-bsi"], pixel={"bits": 12})
+    assert study.sensors[name].dn_per_e == expected.dn_per_e
+    assert datasheet_settings(name, [], None, None, None).pixel == expected
+
+
+def test_unknown_name_of_a_sensor_names_the_packaged_ones() -> None:
+    with pytest.raises(PixsimError, match=r"got 'imx36'; allowed: a TOML file, or a packaged sensor: imx363, imx477"):
+        run_settings("imx36", {})
+    with pytest.raises(PixsimError, match=r"sensor: got 'imx36'; allowed: .*imx363.* Did you mean 'imx363'"):
+        sensor_layer("imx36")
 
 
 def expected_numbers(pixel: pixsim.Pixel, name: str) -> dict[str, float]:

@@ -33,7 +33,8 @@ from pixsim.viewer.setting import Run
 RawFormat = Literal["tiff", "png", "npz"]
 RAW_FORMATS = get_args(RawFormat)
 SCENE_HELP = (
-    "An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, target, macbeth, line_lamp, still_life."
+    "An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, target, macbeth, line_lamp, still_life, "
+    "cornell_box."
 )
 
 
@@ -618,8 +619,8 @@ def datasheet(
         Parameter(
             name="PIXEL",
             completer=common.complete_technology,
-            help="A technology (0.5um, 0.35um, 0.25um, 0.18um, 4t-bsi, 4t-fsi or the path of its TOML file), or a TOML file with a "
-            "table [pixel]. If left out, the options define the pixel.",
+            help="A technology (0.5um, 0.35um, 0.25um, 0.18um, 4t-bsi, 4t-fsi or the path of its TOML file), a TOML file with a "
+            "table [pixel], or a packaged sensor (imx363, imx477). If left out, the options define the pixel.",
         ),
     ] = None,
     *,

@@ -59,7 +59,7 @@ def hint_of_word(word: str, options: set[str]) -> str:
     if name and equals and "-D" in options:
         return f"Each parameter of the scene goes after a -D of its own: -D {shlex.quote(word)}"
     kinds = [
-        ("a file of settings", "--config", suffix == ".toml"),
+        ("a file of settings", "--config", suffix == ".toml" or word in packaged("data/sensors")),
         ("a file to write", "-o", suffix in OF_FILES_TO_WRITE),
         ("a scene", "--scene", suffix == ".xml" or word in scene_names()),
         ("a lens", "--lens", suffix == ".zmx" or word in packaged("data/lenses")),

@@ -175,11 +175,18 @@ complete_scene = packaged_or_files(scene_names, ".xml")
 complete_picture = packaged_or_files(scene_names, ".xml", ".exr", ".npz", ".hdr")
 complete_study = packaged_or_files(lambda: packaged("data/studies"), ".toml")
 complete_lens = packaged_or_files(lambda: packaged("data/lenses"), ".toml", ".zmx")
-complete_technology = packaged_or_files(lambda: packaged("data/technologies"), ".toml")
+complete_technology = packaged_or_files(lambda: [*packaged("data/technologies"), *packaged("data/sensors")], ".toml")
 complete_sensor = packaged_or_files(lambda: [*packaged("data/technologies"), NO_TECHNOLOGY], ".toml")
+complete_settings = packaged_or_files(lambda: packaged("data/sensors"), ".toml")
 
 
-Config = Annotated[list[Path] | None, Parameter(help="TOML file with tables [camera], [pixel], …; later files take precedence.")]
+Config = Annotated[
+    list[Path] | None,
+    Parameter(
+        completer=complete_settings,
+        help="TOML file with tables [camera], [pixel], …, or a packaged sensor: imx363, imx477; later files take precedence.",
+    ),
+]
 Define = Annotated[
     list[str] | None,
     Parameter(name=["-D", "--define"], help="Set a scene parameter: name=value.", consume_multiple=False, metavar="NAME=VALUE"),

@@ -48,7 +48,7 @@ from pixsim.show.pages import Figures, plain, rows_csv
 from pixsim.show.render import notebook, write
 from pixsim.show.sentences import rounded
 from pixsim.viewer.setting import Run
-from pixsim.viewer.settings_file import run_settings
+from pixsim.viewer.settings_file import packaged_sensors, run_settings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -371,7 +371,7 @@ def datasheet_settings(
     if isinstance(pixel, Pixel) and (given := [name for name, value in (("file", file), ("config", files)) if value]):
         raise invalid(", ".join(given), "with a Pixel", "fields of a pixel beside a file", "Set these values in the Pixel instead.")
     name = None if file is None else os.fspath(file)
-    if name is not None and name.endswith(".toml") and "pixel" in read_toml(Path(name)):
+    if name is not None and (name in packaged_sensors() or (name.endswith(".toml") and "pixel" in read_toml(Path(name)))):
         files.insert(0, name)
     elif name is not None:
         fields = dict(pixel or {})

@@ -46,7 +46,7 @@ from pixsim.studies.viewing import OF_VIEWING, Viewing, ViewingRange
 from pixsim.viewer.display import dot_edges_um
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.setting import Effort, Run, Setting
-from pixsim.viewer.settings_file import settings_layer, warn_of_mixed_sensors
+from pixsim.viewer.settings_file import packaged_sensors, settings_layer, warn_of_mixed_sensors
 from pixsim.viewer.unused import Configuration, warn_of_unused_settings
 
 if TYPE_CHECKING:
@@ -174,14 +174,14 @@ class ComparisonJob:
 
 
 def sensor_layer(file: str) -> Layer:
-    """Return the table of a sensor: a TOML file with [pixel], such as a data sheet; or a technology, by its file or name."""
+    """Return the table of a sensor: a TOML file with [pixel], such as a data sheet, or a packaged one; or a technology."""
     known = packaged("data/technologies")
     if file not in known:
-        path = Path(file)
-        if path.suffix != ".toml":
+        path, names = Path(file), [*known, *packaged_sensors()]
+        if path.suffix != ".toml" and file not in names:
             got = f"'{file}'" if path.parent == Path() or os.path.lexists(path) else missing(path)
-            raise invalid("sensor", got, f"a TOML file, or one of {', '.join(known)}", did_you_mean(file, known))
-        layer = settings_layer(path)
+            raise invalid("sensor", got, f"a TOML file, or one of {', '.join(names)}", did_you_mean(file, names))
+        layer = settings_layer(file)
         if "pixel" in layer.table:
             return layer
         if tables := [name for name in layer.table if name in Run.model_fields]:

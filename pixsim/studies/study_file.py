@@ -20,6 +20,7 @@ from pixsim.studies.study_settings import Study, owner_of
 from pixsim.studies.varied import paths_of
 from pixsim.viewer.develop_options import of_python
 from pixsim.viewer.merging import merge
+from pixsim.viewer.settings_file import settings_path
 
 
 def read_study(name: str | os.PathLike[str]) -> Layer:
@@ -104,7 +105,7 @@ def uncertainty_of(name: str | os.PathLike[str], config: Sequence[str | os.PathL
     And that of each data sheet whose numbers stand in the study's file, by its name.
     """
     files = with_bases(study_path(name))
-    own = {number: spread for path in (*files, *map(Path, config)) for number, spread in sheet_uncertainty(path).items()}
+    own = {number: spread for path in (*files, *map(settings_path, config)) for number, spread in sheet_uncertainty(path).items()}
     tables = [(file, read_toml(file).get("sensors")) for file in files]
     sheets = {
         name: found for file, sensors in tables if isinstance(sensors, dict) for name, found in _sheets_of(sensors, file).items()

@@ -14,7 +14,7 @@ from pixsim.sensor.pixel_options import DATA_SHEET, NO_TECHNOLOGY, SCALED_WITH_A
 from pixsim.studies.study_settings import Study
 from pixsim.viewer.merging import merged
 from pixsim.viewer.setting import Run
-from pixsim.viewer.settings_file import settings_layer, warn_of_mixed_sensors
+from pixsim.viewer.settings_file import packaged_sensors, settings_layer, warn_of_mixed_sensors
 
 SET_BY_STUDY = ("pitch_um", "technology")  # fields of a pixel that a study sets itself
 # Fields of a range of pitches, and those of an earlier layer that they replace.
@@ -107,7 +107,7 @@ def with_data_sheets(layers: list[Layer], pixel_options: dict[str, Any]) -> list
     for name in names:
         if isinstance(known, dict) and name in known:  # settings.toml states the values, whatever the file says now
             sheet = [Layer({"pixel": known[name]}, f"sensors.{name}")]
-        elif name.endswith(".toml") and Path(name).is_file() and "pixel" in (layer := settings_layer(Path(name))).table:
+        elif _is_settings(name) and "pixel" in (layer := settings_layer(name)).table:
             if others := [f"[{table}]" for table in layer.table if table != "pixel"]:
                 warn(f"{name}: only [pixel] is used of a sensor among technologies, not {', '.join(others)}")
             sheet = [Layer({"pixel": study.get("pixel", {})}), Layer({"pixel": layer.table["pixel"]}, layer.source)]
@@ -118,6 +118,11 @@ def with_data_sheets(layers: list[Layer], pixel_options: dict[str, Any]) -> list
             warn(f"{name}: {settings.pixel.assumption}")
         sensors[name] = settings.pixel.model_dump()
     return [*layers, Layer({"sensors": sensors})] if sensors else layers
+
+
+def _is_settings(name: str) -> bool:
+    """Whether a technology's name is that of a TOML file, or of a packaged sensor."""
+    return name in packaged_sensors() or (name.endswith(".toml") and Path(name).is_file())
 
 
 def _without_sensor_only(table: dict[str, Any]) -> dict[str, Any]:

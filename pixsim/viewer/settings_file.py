@@ -7,10 +7,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.layers import Layer, listed, plain_tables
 from pixsim.base.notes import warn
 from pixsim.base.records import checked
-from pixsim.base.toml import read_toml, resolve_file
+from pixsim.base.toml import packaged, read_toml, resolve_file
 from pixsim.light.curves import RESPONSES
 from pixsim.optics.lens_options import as_file_names
 from pixsim.sensor.spread import without_uncertainty
@@ -21,11 +22,31 @@ from pixsim.viewer.setting import Run
 FILES_OF_LENS = "file", "veiling_glare", "relative_illumination"
 
 
-def settings_layer(path: Path) -> Layer:
-    """Read a settings file; paths in it are resolved by `resolve_file`.
+def packaged_sensors() -> Mapping[str, Path]:
+    """Return name -> path of the packaged settings files, each a sensor with its camera."""
+    return packaged("data/sensors")
+
+
+def settings_path(name: str | os.PathLike[str]) -> Path:
+    """Return the path of a settings file, which may be a packaged sensor by its name.
+
+    Raises PixsimError for the name of neither.
+    """
+    known, path = packaged_sensors(), Path(name)
+    if str(path) in known:
+        return known[str(path)]
+    if path.parent == Path() and not path.suffix and not os.path.lexists(path):
+        got, allowed = f"'{name}'", f"a TOML file, or a packaged sensor: {', '.join(known)}"
+        raise invalid("settings file", got, allowed, did_you_mean(str(name), known))
+    return path
+
+
+def settings_layer(file: str | os.PathLike[str]) -> Layer:
+    """Read a settings file, or a packaged one by its name; paths in it are resolved by `resolve_file`.
 
     Its [pixel.uncertainty] is checked and left out, so that a pixel is plain numbers: `sheet_uncertainty` returns it.
     """
+    path = settings_path(file)
     table = read_toml(path)
     pixel = table.get("pixel")
     if isinstance(pixel, dict):
@@ -75,10 +96,10 @@ def warn_of_mixed_sensors(files: Sequence[Layer]) -> None:
 def run_settings(config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], options: Mapping[str, Any]) -> Run:
     """Return settings from defaults, files and options, in order of precedence. Raises PixsimError that lists all problems.
 
-    config : one or more TOML files; later ones take precedence
+    config : one or more TOML files, or names of packaged sensors; later ones take precedence
     options : tables and fields of `Run`
     """
-    files = [settings_layer(Path(path)) for path in listed(config)]
+    files = [settings_layer(path) for path in listed(config)]
     warn_of_mixed_sensors(files)
     settings: Run = checked(Run, [*files, Layer(plain_tables(options))])
     return settings

@@ -241,7 +241,9 @@ def test_completion_knows_scenes_studies_technologies_and_choices(tmp_path: Path
         assert "mine.toml" not in completed(name, "")
     assert studies | {"mine.toml", "folder/"} <= completed("study", "")
     assert "folder/other.toml" in completed("study", "folder/")
-    assert technologies | {"mine.toml"} <= completed("datasheet", "")
+    sensors = set(packaged("data/sensors"))
+    assert technologies | sensors | {"mine.toml"} <= completed("datasheet", "")
+    assert sensors | {"mine.toml"} <= completed("run", "csf", "--config", "")
     assert {*packaged("data/lenses"), "mine.toml"} <= completed("lens", "")
     assert technologies | {"none"} <= completed("run", "csf", "--pixel.technology", "")
     assert completed("run", "csf", "--display.interpolation", "") == {"linear", "nearest", "cubic"}

@@ -23,7 +23,7 @@ from pixsim.scene.mitsuba import import_mitsuba
 from pixsim.scene.packaged import packaged_scenes
 
 CHARTS = ["csf", "flat", "siemens_star", "slanted_edge"]
-SHIPPED = sorted([*CHARTS, "line_lamp", "macbeth", "still_life", "target"])
+SHIPPED = sorted([*CHARTS, "cornell_box", "line_lamp", "macbeth", "still_life", "target"])
 LENS = '<float name="aperture_radius" value="0.0005"/><float name="focus_distance" value="0.8"/>'
 FOV = '<float name="fov" value="40"/>'
 RAW = '<boolean name="raw" value="true"/>'
