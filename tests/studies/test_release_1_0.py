@@ -12,7 +12,8 @@ import pytest
 from helpers.tiny import rows
 
 import pixsim
-from pixsim.base.schema import SCHEMA
+from pixsim.base.schema import SCHEMA, json_text
+from pixsim.report.run import run_document
 from pixsim.studies.results_file import ResultsFile
 from pixsim.viewer.settings_file import run_settings
 
@@ -55,11 +56,29 @@ def test_settings_of_a_study_are_those_of_its_rows(study: Path) -> None:
     with pytest.warns(UserWarning, match=r"pixsim 1\.0\.0"):
         pixsim.study(study / "settings.toml", study, jobs=1)
     now = rows(study)
+    assert before[0].keys() <= now[0].keys()
     for name in ("pitch_um", "repeat", "fill_factor", "full_well_e", "schema"):
         assert [row[name] for row in now] == [row[name] for row in before]
     both = (np.array([float(row["mean_electrons_e"]) for row in table]) for table in (now, before))
     # At most one of 90 pixels a side comes in for another, on light that differs by some tenths: below 1e-3 of the mean.
     np.testing.assert_allclose(*both, rtol=1e-3)
+
+
+def test_every_entry_of_a_run_is_still_there() -> None:
+    """Entries may be added within a schema (docs/reference/files.md)."""
+    stated = json.loads((DATA / "run/score.json").read_bytes())
+    result = pixsim.run("csf", config=DATA / "run/settings.toml")
+    assert entries(stated) <= entries(json.loads(json_text(run_document(result).data)))
+
+
+def entries(content: object, above: str = "") -> set[str]:
+    """Dotted names of all entries of JSON; those of a list together."""
+    match content:
+        case dict():
+            return {name for key, value in content.items() for name in {f"{above}.{key}", *entries(value, f"{above}.{key}")}}
+        case list() | tuple():
+            return {name for value in content for name in entries(value, f"{above}[]")}
+    return set()
 
 
 def test_kept_light_gives_the_frame_and_the_error_of_its_release() -> None:
