@@ -122,8 +122,8 @@ class ResultsFile:
                 warn(f"results: rows of '{self.path}' state {of_another(self.another_schema)}. {kept}")
             elif not done and (version := version_of_files(self.path.parent)) != VERSION:
                 which = f"of pixsim {version}" if version else "of other settings, or of another version of pixsim"
-                kept = f"They are kept in '{backup}', and computed again; the version that wrote them continues them."
-                warn(f"results: the rows of '{self.path}' are {which}. {kept}")
+                kept = f"They are kept in '{backup}', and computed again; only the settings and the version that wrote them"
+                warn(f"results: the rows of '{self.path}' are {which}. {kept} continue them.")
             if impossible:
                 which = f"{impossible} row{'s' * (impossible > 1)} of '{self.path}' cannot be, by ΔE, size or another number"
                 warn(f"results: {which}. The file is kept as '{backup}', and they are computed again.")

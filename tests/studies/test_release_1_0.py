@@ -28,7 +28,7 @@ def study(tmp_path: Path) -> Path:
 
 def test_rows_are_kept_apart_and_their_release_named(study: Path) -> None:
     results, before = ResultsFile(study / "results.csv"), (study / "results.csv").read_bytes()
-    said = r"the rows of '.*results.csv' are of pixsim 1.0.0. They are kept in 'results.csv.old', and computed again; the version"
+    said = r"the rows of '.*results.csv' are of pixsim 1.0.0. They are kept in 'results.csv.old', and computed again; only"
     with pytest.warns(UserWarning, match=said):
         assert not results.resume(lambda _: False)
     assert (study / "results.csv.old").read_bytes() == before
@@ -91,3 +91,11 @@ def test_kept_light_gives_the_frame_and_the_error_of_its_release() -> None:
     assert found.mean_delta_e == pytest.approx(stated["mean_delta_e"], rel=1e-9)
     raw = pixsim.read_frame(DATA / "run/raw.exr")
     np.testing.assert_array_equal(raw.dn, found.frame.dn)
+
+
+def test_settings_of_the_scene_beside_its_kept_light_are_named() -> None:
+    named = (
+        r"^--resolution \(resolution\), --window \(window_mm\): got '.*irradiance.exr', a picture; allowed: a Mitsuba scene, or "
+    )
+    with pytest.raises(pixsim.PixsimError, match=named + r"none of these\. Take them out of a settings file"):
+        pixsim.run(DATA / "run/irradiance.exr", config=DATA / "run/settings.toml")
