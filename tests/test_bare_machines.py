@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers import windows
-from helpers.commands import forked
+from helpers import systems
+from helpers.commands import command, forked
 from helpers.processes import HANG_S
 from helpers.tiny import tiny_toml
 
@@ -89,7 +89,7 @@ EVALUATED = """
 import numpy as np
 import pixsim
 data = 1e-3 * np.random.default_rng(0).uniform(0.5, 1.0, (32, 32, 3))
-display = pixsim.Display(dots=8, white_cd_per_m2=1000.0)
+display = pixsim.Display(dots=8, white_cd_per_m2=1500.0)
 light = pixsim.SpectralImage([500.0, 550.0, 600.0], 50.0, 5.0, data=data)
 found = pixsim.evaluate(light, pixsim.Camera(die_mm=0.16), pixsim.Pixel(pitch_um=5.6), display=display).mean_delta_e
 """
@@ -112,10 +112,14 @@ command()
 """
 
 
+def run_on(system: str, code: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    words = [sys.executable, str(systems.__file__), system, code]
+    return subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=HANG_S)
+
+
 def test_without_what_windows_lacks_all_is_imported_and_light_evaluated(tmp_path: Path) -> None:
     """The number is that of this machine; files, which need locks of folders, are refused with what to do."""
-    words = [sys.executable, str(windows.__file__), ON_WINDOWS]
-    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=HANG_S)
+    done = run_on(systems.WINDOWS, ON_WINDOWS, tmp_path)
     assert done.returncode == 0, done.stderr
     number, refused, *_ = done.stdout.splitlines()
     here: dict[str, Any] = {}
@@ -128,10 +132,31 @@ def test_without_what_windows_lacks_all_is_imported_and_light_evaluated(tmp_path
 
 
 def test_names_that_windows_lacks_are_hidden_from_pixsim_alone() -> None:
-    hidden = windows.missing("os")
+    hidden = systems.missing("os", systems.WINDOWS)
     assert hidden is not None
     assert {"fork", "sched_getaffinity", "geteuid", "O_NOFOLLOW"} <= hidden
     assert not {"open", "getpid", "replace", "O_EXCL"} & hidden
-    assert {"SIGKILL", "SIGHUP", "setitimer"} <= (windows.missing("signal") or frozenset())
-    assert [windows.missing(name) for name in ("fcntl", "resource", "termios", "pwd", "grp")] == [None] * 5
-    assert windows.missing("json") == frozenset()
+    assert {"SIGKILL", "SIGHUP", "setitimer"} <= (systems.missing("signal", systems.WINDOWS) or frozenset())
+    assert [systems.missing(name, systems.WINDOWS) for name in ("fcntl", "resource", "termios", "pwd", "grp")] == [None] * 5
+    assert systems.missing("json", systems.WINDOWS) == frozenset()
+
+
+LIGHT = Path(__file__).parent / "data" / "release_1_0_0" / "run" / "irradiance.exr"
+ON_MACOS = f"""
+import sys
+from pixsim.cli import command
+sys.argv = ["pixsim", "run", {str(LIGHT)!r}, "--pixel.pitch-um", "8", "--display.dots", "8", "--out", "out"]
+command()
+"""
+
+
+def test_without_what_macos_lacks_light_is_run_into_a_folder(tmp_path: Path) -> None:
+    hidden = systems.missing("os", systems.MACOS)
+    assert hidden is not None
+    assert {"sched_getaffinity", "memfd_create", "posix_fallocate", "O_PATH"} <= hidden
+    done = run_on(systems.MACOS, ON_MACOS, tmp_path)
+    assert (done.returncode, done.stdout.startswith("mean ΔE ")) == (0, True), done.stderr
+    code, here, _ = command("run", LIGHT, "--pixel.pitch-um", 8, "--display.dots", 8, "--out", tmp_path / "here")
+    assert code == 0
+    assert done.stdout.splitlines()[:2] == here.splitlines()[:2]
+    assert (tmp_path / "out/raw.exr").read_bytes() == (tmp_path / "here/raw.exr").read_bytes()

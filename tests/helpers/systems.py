@@ -1,4 +1,4 @@
-"""What Windows lacks is hidden from pixsim's modules, and from no other: `python windows.py CODE` runs code in such a process.
+"""What another system lacks is hidden from pixsim's modules, and from no other: `python systems.py SYSTEM CODE` runs code so.
 
 Which names of Python's own modules a system has is read from the stubs of typeshed, as mypy brings them. What a system call does
 there is not told: files and processes are those of this machine.
@@ -16,10 +16,11 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-WINDOWS = "win32"
-ON_WINDOWS: dict[str, dict[str, Any]] = {  # other values of names that it has
-    "os": {"name": "nt", "supports_dir_fd": set(), "supports_fd": set()}, "sys": {"platform": WINDOWS},
-}  # fmt: skip
+WINDOWS, MACOS = "win32", "darwin"  # as `sys.platform`
+OTHER_VALUES: dict[str, dict[str, Any]] = {
+    WINDOWS: {"name": "nt", "supports_dir_fd": set(), "supports_fd": set()},
+    MACOS: {},
+}  # of os
 
 
 def names_of(statements: Sequence[ast.stmt], system: str) -> Iterator[str]:
@@ -41,8 +42,8 @@ def names_of(statements: Sequence[ast.stmt], system: str) -> Iterator[str]:
 
 
 @cache
-def missing(module: str) -> frozenset[str] | None:
-    """Names of a module of Python that Windows lacks and this system has; None if it lacks the module."""
+def missing(module: str, system: str) -> frozenset[str] | None:
+    """Names of a module of Python that a system lacks and this one has; None if it lacks the module."""
     import mypy  # its package alone, not the checker
 
     folder = Path(mypy.__file__).parent / "typeshed/stdlib"
@@ -51,28 +52,29 @@ def missing(module: str) -> frozenset[str] | None:
     if found is None:
         return frozenset()
     tree = ast.parse(found.read_text(encoding="utf-8")).body
-    here, there = ({name for name in names_of(tree, system) if name[0] != "_"} for system in (sys.platform, WINDOWS))
+    here, there = ({name for name in names_of(tree, each) if name[0] != "_"} for each in (sys.platform, system))
     return None if here and not there else frozenset(here - there)
 
 
-class WindowsModule(ModuleType):
-    """A module of Python as Windows has it: without the names that are hidden."""
+class ModuleThere(ModuleType):
+    """A module of Python as another system has it: without the names that are hidden."""
 
-    def __init__(self, real: ModuleType, hidden: frozenset[str]) -> None:
+    def __init__(self, real: ModuleType, hidden: frozenset[str], system: str) -> None:
         super().__init__(real.__name__)
-        vars(self).update(_real=real, _hidden=hidden, **ON_WINDOWS.get(real.__name__, {}))
+        others = {"os": OTHER_VALUES[system], "sys": {"platform": system}}
+        vars(self).update(_real=real, _hidden=hidden, **others.get(real.__name__, {}))
 
     def __getattr__(self, name: str) -> Any:
         if name in self._hidden:
-            raise AttributeError(f"module '{self._real.__name__}' has no attribute '{name}' on Windows", name=name)
+            raise AttributeError(f"module '{self._real.__name__}' has no attribute '{name}' there", name=name)
         return getattr(self._real, name)
 
     def __setattr__(self, name: str, value: object) -> None:
         setattr(self._real, name, value)
 
 
-def hide() -> None:
-    """Hide from modules of pixsim that are imported from now on what Windows lacks."""
+def hide(system: str) -> None:
+    """Hide from modules of pixsim that are imported from now on what a system lacks."""
     import_here = builtins.__import__
 
     def import_there(name: str, globals: Any = None, locals: Any = None, fromlist: Any = (), level: int = 0) -> ModuleType:
@@ -80,15 +82,15 @@ def hide() -> None:
         importer = (globals or {}).get("__name__", "")
         if level or not f"{importer}.".startswith("pixsim.") or name.partition(".")[0] not in sys.stdlib_module_names:
             return module
-        hidden = missing(name)
+        hidden = missing(name, system)
         if hidden is None:
-            raise ModuleNotFoundError(f"No module named '{name}' on Windows", name=name)
-        return WindowsModule(module, hidden) if hidden else module
+            raise ModuleNotFoundError(f"No module named '{name}' there", name=name)
+        return ModuleThere(module, hidden, system) if hidden or name in ("os", "sys") else module
 
     importlib.import_module("mypy")
     builtins.__import__ = import_there
 
 
 if __name__ == "__main__":
-    hide()
-    exec(sys.argv[1], {"__name__": "code"})
+    hide(sys.argv[1])
+    exec(sys.argv[2], {"__name__": "code"})
