@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers.commands import forked
+from helpers import systems
+from helpers.commands import command, forked
 from helpers.processes import HANG_S
 from helpers.tiny import tiny_toml
 
@@ -82,3 +83,80 @@ def test_a_process_forked_after_a_render_is_told_at_once() -> None:
     finally:
         child.kill()
         child.join()
+
+
+EVALUATED = """
+import numpy as np
+import pixsim
+data = 1e-3 * np.random.default_rng(0).uniform(0.5, 1.0, (32, 32, 3))
+display = pixsim.Display(dots=8, white_cd_per_m2=1500.0)
+light = pixsim.SpectralImage([500.0, 550.0, 600.0], 50.0, 5.0, data=data)
+found = pixsim.evaluate(light, pixsim.Camera(die_mm=0.16), pixsim.Pixel(pitch_um=5.6), display=display).mean_delta_e
+"""
+ON_WINDOWS = f"""
+import importlib, pkgutil, sys
+import pixsim
+names = [module.name for module in pkgutil.walk_packages(pixsim.__path__, "pixsim.") if not module.name.endswith("__main__")]
+assert len(names) > 250
+for name in names:
+    importlib.import_module(name)
+{EVALUATED}
+print(found)
+try:
+    pixsim.write_exr("light.exr", light)
+except pixsim.PixsimError as error:
+    print(error)
+from pixsim.cli import command
+sys.argv = ["pixsim", "--help"]
+command()
+"""
+
+
+def run_on(system: str, code: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    words = [sys.executable, str(systems.__file__), system, code]
+    return subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=HANG_S)
+
+
+def test_without_what_windows_lacks_all_is_imported_and_light_evaluated(tmp_path: Path) -> None:
+    """The number is that of this machine; files, which need locks of folders, are refused with what to do."""
+    done = run_on(systems.WINDOWS, ON_WINDOWS, tmp_path)
+    assert done.returncode == 0, done.stderr
+    number, refused, *_ = done.stdout.splitlines()
+    here: dict[str, Any] = {}
+    exec(EVALUATED, here)
+    assert number == str(here["found"])
+    assert float(number) > 0
+    assert refused.startswith("files: got a system whose folders cannot be opened (Windows); allowed: Linux or macOS. ")
+    assert "WSL" in refused
+    assert "Measure the spatial frequency response" in done.stdout, "--help"
+
+
+def test_names_that_windows_lacks_are_hidden_from_pixsim_alone() -> None:
+    hidden = systems.missing("os", systems.WINDOWS)
+    assert hidden is not None
+    assert {"fork", "sched_getaffinity", "geteuid", "O_NOFOLLOW"} <= hidden
+    assert not {"open", "getpid", "replace", "O_EXCL"} & hidden
+    assert {"SIGKILL", "SIGHUP", "setitimer"} <= (systems.missing("signal", systems.WINDOWS) or frozenset())
+    assert [systems.missing(name, systems.WINDOWS) for name in ("fcntl", "resource", "termios", "pwd", "grp")] == [None] * 5
+    assert systems.missing("json", systems.WINDOWS) == frozenset()
+
+
+LIGHT = Path(__file__).parent / "data" / "release_1_0_0" / "run" / "irradiance.exr"
+ON_MACOS = f"""
+import sys
+from pixsim.cli import command
+sys.argv = ["pixsim", "run", {str(LIGHT)!r}, "--pixel.pitch-um", "8", "--display.dots", "8", "--out", "out"]
+command()
+"""
+
+
+def test_without_what_macos_lacks_light_is_run_into_a_folder(tmp_path: Path) -> None:
+    hidden = systems.missing("os", systems.MACOS)
+    assert hidden is not None
+    assert {"sched_getaffinity", "memfd_create", "posix_fallocate", "O_PATH"} <= hidden
+    done = run_on(systems.MACOS, ON_MACOS, tmp_path)
+    assert (done.returncode, done.stdout.startswith("mean ΔE ")) == (0, True), done.stderr
+    code, here, _ = command("run", LIGHT, "--pixel.pitch-um", 8, "--display.dots", 8, "--out", tmp_path / "here")
+    assert code == 0
+    assert done.stdout.splitlines()[:2] == here.splitlines()[:2]
+    assert (tmp_path / "out/raw.exr").read_bytes() == (tmp_path / "here/raw.exr").read_bytes()

@@ -32,6 +32,7 @@ from pixsim.base.errors import PixsimError, UnwritableError, invalid
 from pixsim.base.locks import (
     PARTIAL_FILE,
     PARTIAL_FOLDER,
+    check_system,
     locked_folder,
     remove_leftovers,
     temporary_folder,
@@ -40,6 +41,7 @@ from pixsim.base.locks import (
 )
 from pixsim.base.notes import MachineWarning, warn
 from pixsim.base.schema import KEY, check_not_newer, json_text
+from pixsim.base.version import VERSION
 
 FOLDER_VARIABLE = "PIXSIM_CACHE_DIR"
 
@@ -162,8 +164,9 @@ def subfolder(folder: Path, parts: Iterable[str], make: bool = False) -> Iterato
 
     make : make missing folders
 
-    Raises PixsimError if a part is a link or a file.
+    Raises PixsimError if a part is a link or a file, and on Windows.
     """
+    check_system()
     with ExitStack() as stack:
         flags = os.O_DIRECTORY | getattr(os, "O_PATH", os.O_RDONLY)
         stack.callback(os.close, descriptor := os.open(folder, flags))
@@ -191,6 +194,7 @@ def output_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
 
     Raises PixsimError if the folder cannot be written, or is in use by another process.
     """
+    check_system()
     folder = Path(out)
     if not is_utf8(folder):
         raise PixsimError(f"output folder: '{folder}' is not valid UTF-8. Choose another with --out.")
@@ -278,7 +282,7 @@ def newest_file(folder: Path) -> Path:
     return max(files, key=lambda path: path.stat().st_mtime_ns, default=folder)
 
 
-PROVENANCE = "provenance.json"
+PROVENANCE, PIXSIM = "provenance.json", "pixsim"
 MAX_PROVENANCE = 1 << 24  # bytes
 Listed = dict[str, dict[str, Any]]  # file name -> {"command": that wrote it, "digests": of its content}
 
@@ -322,7 +326,7 @@ def listed_files(folder: Path) -> Listed | None:
         return None
     try:
         content = _provenance(folder)
-        if "pixsim" not in content["versions"]:
+        if PIXSIM not in content["versions"]:
             return None
         newer = content.get(KEY)
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
@@ -337,6 +341,14 @@ def listed_files(folder: Path) -> Listed | None:
         }
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return None
+
+
+def version_of_files(folder: Path) -> str:
+    """Return the version of pixsim that wrote the files of an output folder; nothing where its provenance does not say."""
+    try:
+        return str(_provenance(folder)["versions"][PIXSIM])[:20]
+    except (PixsimError, ValueError, TypeError, KeyError, RecursionError):
+        return ""
 
 
 def _provenance(folder: Path) -> Any:
@@ -509,7 +521,7 @@ def write_new(path: Path, text: str) -> None:
 @cache
 def versions() -> dict[str, str]:
     """Versions of Python, pixsim and the main dependencies."""
-    return {"python": platform.python_version(), **{name: version_of(name) for name in ("pixsim", *DEPENDENCIES)}}
+    return {"python": platform.python_version(), PIXSIM: VERSION, **{name: version_of(name) for name in DEPENDENCIES}}
 
 
 @cache

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from contextlib import suppress
+from contextlib import chdir, suppress
 from importlib.util import LazyLoader, find_spec, module_from_spec
 from typing import Any
 
@@ -75,14 +75,8 @@ def ignore_matplotlibrc() -> None:
     """
     os.environ["MATPLOTLIBRC"] = os.devnull
     if "matplotlib" not in sys.modules and os.path.lexists(RC_FILE):
-        here = os.open(".", os.O_DIRECTORY | getattr(os, "O_PATH", os.O_RDONLY))
-        try:
-            os.chdir("/")
-            with suppress(ImportError):  # which is reported where a figure is drawn
-                import matplotlib  # noqa: F401
-        finally:
-            os.fchdir(here)
-            os.close(here)
+        with chdir("/"), suppress(ImportError):  # which is reported where a figure is drawn
+            import matplotlib  # noqa: F401
 
 
 _nobody_reads = False  # docstrings, in the process of a command

@@ -34,6 +34,13 @@ JUST_ENDING_S = 0.1  # of another process, between its removal of a lock and its
 NO_LOCKS = {errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL}  # what flock says where a file system has none
 
 
+def check_system() -> None:
+    """Raise PixsimError where folders cannot be opened, to be locked and told from links: what is written would not be safe."""
+    if os.open not in os.supports_dir_fd:
+        got = "a system whose folders cannot be opened (Windows)"
+        raise invalid("files", got, "Linux or macOS", "On Windows, run pixsim in WSL: `wsl --install`, then as on Linux (README).")
+
+
 def _lock(descriptor: int) -> bool | None:
     """Lock an open file or folder until it is closed; False if it is locked already, None if there are no locks."""
     from filelock import lock_descriptor  # takes 10 ms
@@ -126,7 +133,10 @@ def unfinished(folder: Path, before: str, after: str = "", *, is_folder: bool) -
     """A new file or folder of a name that nobody else has, locked; it is removed at the end, unless it was moved.
 
     before, after : of its name, around the random part
+
+    Raises PixsimError on Windows.
     """
+    check_system()
     for _ in range(TRIES):
         path = folder / f"{before}{secrets.token_hex(4)}{after}"
         with suppress(FileExistsError):

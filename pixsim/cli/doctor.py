@@ -156,7 +156,7 @@ def _software(required: dict[str, str], imports: Trial) -> Iterator[Diagnosis]:
     mark, text, fix = OK, f"{VERSION} in {package}", None
     if not required:
         mark, fix = PROBLEM, pip("-e", str(package.parent))
-        text += " is on the path but not installed: `pixsim run` cannot read its version"
+        text += " is on the path but not installed"
     yield Diagnosis(group, "pixsim", mark, text, fix, {"version": VERSION})
     python = platform.python_version()
     yield Diagnosis(group, "Python", OK, f"{python} ({sys.executable})", facts={"version": python})

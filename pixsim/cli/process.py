@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from types import FrameType
     from typing import NoReturn
 
-ENDING = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "the terminal was closed"}
+WORDS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "the terminal was closed"}
+ENDING = {getattr(signal, name): words for name, words in WORDS.items() if hasattr(signal, name)}  # Windows has no SIGHUP
+IS_TIMED = hasattr(signal, "setitimer")  # else (Windows) nothing is raised later
 SIGNAL_EXIT = 128  # the exit code of a shell for a process that a signal ended, less the signal's number
 PATIENCE_S = 5.0  # for the clean-up after a signal; another one after that ends the process at once
 NEVER_S = float("inf")
@@ -49,7 +51,8 @@ class Interruption:
         for number in ENDING:
             if signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, self._receive)
-        signal.signal(signal.SIGALRM, self._raise)
+        if IS_TIMED:
+            signal.signal(signal.SIGALRM, self._raise)
         sys.unraisablehook = self._unraisable
         atexit.register(self._ignore)  # the first one registered runs last
 
@@ -71,7 +74,7 @@ class Interruption:
             self._at_s, self._done = NEVER_S, True
         if self.received is not None:  # also one that came in the line above
             self._done, self._at_s = False, min(self._at_s, time.monotonic())
-            signal.setitimer(signal.ITIMER_REAL, 0)
+            raise_after(0)
             raise KeyboardInterrupt
 
     @contextmanager
@@ -79,13 +82,13 @@ class Interruption:
         """Within the block, something is printed. If the files are in place, a reader may take `PATIENCE_S` after a signal."""
         self._prints = self._done
         if self.late is not None:
-            signal.setitimer(signal.ITIMER_REAL, PATIENCE_S)
+            raise_after(PATIENCE_S)
         try:
             yield
         finally:
             self._prints = False
             if self.late is not None:
-                signal.setitimer(signal.ITIMER_REAL, 0)
+                raise_after(0)
 
     def finish(self) -> None:
         """The command has ended: signals do not disturb the clean-up of the process, unless that takes long."""
@@ -93,7 +96,7 @@ class Interruption:
         if self._at_s in (0.0, NEVER_S):
             self._at_s = time.monotonic()
         if self.received is not None or self.late is not None:
-            signal.setitimer(signal.ITIMER_REAL, 0)
+            raise_after(0)
 
     @property
     def words(self) -> str:
@@ -105,7 +108,7 @@ class Interruption:
         return SIGNAL_EXIT + (self.received or signal.SIGINT)
 
     def _receive(self, number: int, frame: FrameType | None) -> None:
-        self.terminal_closed |= self._done and number == signal.SIGHUP
+        self.terminal_closed |= self._done and ENDING[number] == WORDS["SIGHUP"]
         if self.received is None and not self._done:
             self.received, self._at_s = number, time.monotonic()
             if self._begun:
@@ -115,7 +118,7 @@ class Interruption:
         elif self._at_s == NEVER_S:
             self.late, self._at_s = number, time.monotonic()
             if self._prints:
-                signal.setitimer(signal.ITIMER_REAL, PATIENCE_S)
+                raise_after(PATIENCE_S)
         elif time.monotonic() - self._at_s > PATIENCE_S:
             self.received = number
             self._leave()
@@ -127,15 +130,15 @@ class Interruption:
             self._leave()
         if self._done:
             return
-        if time.monotonic() - self._at_s < LONGEST_WAIT_S and must_wait(frame):
-            signal.setitimer(signal.ITIMER_REAL, WAIT_S)
+        if IS_TIMED and time.monotonic() - self._at_s < LONGEST_WAIT_S and must_wait(frame):
+            raise_after(WAIT_S)
         else:
             raise KeyboardInterrupt
 
     def _unraisable(self, failure: sys.UnraisableHookArgs) -> None:
         """Raise again later what Python can only print, since it was raised in a finalizer or a callback."""
-        if isinstance(failure.exc_value, KeyboardInterrupt) and self.received is not None:
-            signal.setitimer(signal.ITIMER_REAL, WAIT_S)
+        if IS_TIMED and isinstance(failure.exc_value, KeyboardInterrupt) and self.received is not None:
+            raise_after(WAIT_S)
         else:
             sys.__unraisablehook__(failure)
 
@@ -149,9 +152,16 @@ class Interruption:
 
     def _leave(self) -> NoReturn:
         with suppress(OSError):
-            os.set_blocking(2, False)  # it may be the pipe that holds up the result
+            if hasattr(os, "set_blocking"):
+                os.set_blocking(2, False)  # it may be the pipe that holds up the result
             os.write(2, f"pixsim: {self.words}\n".encode())
         os._exit(self.exit_code)
+
+
+def raise_after(seconds: float) -> None:
+    """Let `Interruption._raise` be called after a time, or no more (0)."""
+    if IS_TIMED:
+        signal.setitimer(signal.ITIMER_REAL, seconds)
 
 
 def must_wait(frame: FrameType | None) -> bool:

@@ -13,7 +13,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager, closing, contextmanager, suppress
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
@@ -448,7 +448,7 @@ def watch_parent(parent: int) -> None:
     def run() -> None:
         while os.getppid() == parent:
             time.sleep(WATCH_S)
-        os.kill(os.getpid(), signal.SIGKILL)
+        os.kill(os.getpid(), getattr(signal, "SIGKILL", signal.SIGTERM))  # on Windows, the latter ends a process at once
 
     threading.Thread(target=run, name="pixsim parent", daemon=True).start()
 
@@ -485,6 +485,9 @@ def ctrl_c_blocked() -> Iterator[Callable[[], AbstractContextManager[None]]]:
 
     Gives a context manager in which it is taken as before.
     """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield nullcontext
+        return
     import multiprocessing.resource_tracker
 
     multiprocessing.resource_tracker.ensure_running()  # it would unblock Ctrl-C when the first worker starts

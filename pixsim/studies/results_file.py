@@ -15,9 +15,10 @@ from pathlib import Path
 from typing import IO
 
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.files import digest_of, kind_of, opened, replacing
+from pixsim.base.files import digest_of, kind_of, opened, replacing, version_of_files
 from pixsim.base.notes import warn
 from pixsim.base.schema import KEY, SCHEMA, of_another
+from pixsim.base.version import VERSION
 from pixsim.show.pages import csv_text
 from pixsim.studies.rows import Row, RowStore, StoredRows
 from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, PIXEL_STATISTICS, ROUNDING, Metric, columns_of_metrics
@@ -102,7 +103,7 @@ class ResultsFile:
 
         is_edited : whether a row that is not expected has the key of one that is
 
-        Warns of rows of another schema, and of rows that cannot be: they are computed again.
+        Warns of rows of another schema or version of pixsim, and of rows that cannot be: they are computed again.
         """
         done, has_others, impossible = RowStore(self.columns), False, 0
         for row in self._whole_rows():
@@ -119,6 +120,10 @@ class ResultsFile:
             if self.another_schema is not None:
                 kept = f"They are kept in '{backup}', and computed again."
                 warn(f"results: rows of '{self.path}' state {of_another(self.another_schema)}. {kept}")
+            elif not done and (version := version_of_files(self.path.parent)) != VERSION:
+                which = f"of pixsim {version}" if version else "of other settings, or of another version of pixsim"
+                kept = f"They are kept in '{backup}', and computed again; only the settings and the version that wrote them"
+                warn(f"results: the rows of '{self.path}' are {which}. {kept} continue them.")
             if impossible:
                 which = f"{impossible} row{'s' * (impossible > 1)} of '{self.path}' cannot be, by ΔE, size or another number"
                 warn(f"results: {which}. The file is kept as '{backup}', and they are computed again.")

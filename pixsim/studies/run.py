@@ -159,9 +159,13 @@ def prepare(
         picture, whole, source = source, camera_of_light(source, settings.camera, settings.lens), LIGHT_FILE
         given = replace(given, light=picture)
     elif is_picture(source):
-        if settings.scene or sensor or variant or settings.tolerance_delta_e or settings.resolution or settings.window_mm:
-            options = "-D, --sensor, --variant, --tolerance-delta-e, --resolution, --window"
-            raise invalid(options, f"'{source}', a picture", "a Mitsuba scene, or none of these options")
+        of_scenes = {"-D ([scene])": settings.scene, "--sensor": sensor, "--variant": variant} | {
+            f"--{name.removesuffix('_mm').replace('_', '-')} ({name})": getattr(settings, name)
+            for name in ("tolerance_delta_e", "resolution", "window_mm")
+        }
+        if stated := [words for words, value in of_scenes.items() if value]:
+            hint = "Take them out of a settings file of the scene, too."
+            raise invalid(", ".join(stated), f"'{source}', a picture", "a Mitsuba scene, or none of these", hint)
         picture, whole = read_with_camera(source, settings.camera, units, settings.lens)
         given = replace(given, light=picture)
     else:

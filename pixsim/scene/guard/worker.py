@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import signal
@@ -46,6 +45,8 @@ def answer(tracer: OwnTracer | None, request: dict[str, Any], pictures: int) -> 
 
 def end_with_parent(life: int) -> None:
     """Let the system end this process as soon as the other end of a pipe closes, also while Mitsuba is at work."""
+    import fcntl  # Windows has none
+
     fcntl.fcntl(life, fcntl.F_SETOWN, os.getpid())
     fcntl.fcntl(life, fcntl.F_SETFL, fcntl.fcntl(life, fcntl.F_GETFL) | os.O_ASYNC | os.O_NONBLOCK)
     try:

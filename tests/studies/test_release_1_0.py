@@ -1,0 +1,101 @@
+"""Results that release 1.0.0 wrote: they are read, or named with what becomes of them (docs/migration.md)."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.tiny import rows
+
+import pixsim
+from pixsim.base.schema import SCHEMA, json_text
+from pixsim.report.run import run_document
+from pixsim.studies.results_file import ResultsFile
+from pixsim.viewer.settings_file import run_settings
+
+DATA = Path(__file__).parents[1] / "data" / "release_1_0_0"
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    """A copy of the folder of a study."""
+    return Path(shutil.copytree(DATA / "study", tmp_path / "study"))
+
+
+def test_rows_are_kept_apart_and_their_release_named(study: Path) -> None:
+    results, before = ResultsFile(study / "results.csv"), (study / "results.csv").read_bytes()
+    said = r"the rows of '.*results.csv' are of pixsim 1.0.0. They are kept in 'results.csv.old', and computed again; only"
+    with pytest.warns(UserWarning, match=said):
+        assert not results.resume(lambda _: False)
+    assert (study / "results.csv.old").read_bytes() == before
+    assert rows(study) == []
+
+
+def test_rows_of_an_interrupted_study_are_named_without_a_release(study: Path) -> None:
+    """Its folder has no provenance.json yet."""
+    (study / "provenance.json").unlink()
+    with pytest.warns(UserWarning, match=r"are of other settings, or of another version of pixsim\. They are kept in"):
+        ResultsFile(study / "results.csv").resume(lambda _: False)
+
+
+def test_rows_of_this_version_under_other_settings_need_no_words(study: Path) -> None:
+    text = (study / "provenance.json").read_text(encoding="utf-8")
+    (study / "provenance.json").write_text(text.replace('"pixsim": "1.0.0"', f'"pixsim": "{pixsim.__version__}"'), encoding="utf-8")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert not ResultsFile(study / "results.csv").resume(lambda _: False)
+
+
+def test_settings_of_a_study_are_those_of_its_rows(study: Path) -> None:
+    """Rates of electrons are the same; a repeat now has a place of its own on the die, which moves its mean a little."""
+    before = rows(study)
+    with pytest.warns(UserWarning, match=r"pixsim 1\.0\.0"):
+        pixsim.study(study / "settings.toml", study, jobs=1)
+    now = rows(study)
+    assert before[0].keys() <= now[0].keys()
+    for name in ("pitch_um", "repeat", "fill_factor", "full_well_e", "schema"):
+        assert [row[name] for row in now] == [row[name] for row in before]
+    both = (np.array([float(row["mean_electrons_e"]) for row in table]) for table in (now, before))
+    # At most one of 90 pixels a side comes in for another, on light that differs by some tenths: below 1e-3 of the mean.
+    np.testing.assert_allclose(*both, rtol=1e-3)
+
+
+def test_every_entry_of_a_run_is_still_there() -> None:
+    """Entries may be added within a schema (docs/reference/files.md)."""
+    stated = json.loads((DATA / "run/score.json").read_bytes())
+    result = pixsim.run("csf", config=DATA / "run/settings.toml")
+    assert entries(stated) <= entries(json.loads(json_text(run_document(result).data)))
+
+
+def entries(content: object, above: str = "") -> set[str]:
+    """Dotted names of all entries of JSON; those of a list together."""
+    match content:
+        case dict():
+            return {name for key, value in content.items() for name in {f"{above}.{key}", *entries(value, f"{above}.{key}")}}
+        case list() | tuple():
+            return {name for value in content for name in entries(value, f"{above}[]")}
+    return set()
+
+
+def test_kept_light_gives_the_frame_and_the_error_of_its_release() -> None:
+    """Light, sensor, noise and S-CIELAB of one frame are those of 1.0.0: only renders, films and registrations have changed."""
+    light, stated = pixsim.read_irradiance(DATA / "run/irradiance.exr"), json.loads((DATA / "run/score.json").read_bytes())
+    assert stated["schema"] == SCHEMA
+    camera = pixsim.Camera.model_validate(light.header["camera"])
+    settings = run_settings([DATA / "run/settings.toml"], {})
+    found = pixsim.evaluate(light, camera, settings.pixel, settings.exposure, settings.display)
+    assert found.mean_delta_e == pytest.approx(stated["mean_delta_e"], rel=1e-9)
+    raw = pixsim.read_frame(DATA / "run/raw.exr")
+    np.testing.assert_array_equal(raw.dn, found.frame.dn)
+
+
+def test_settings_of_the_scene_beside_its_kept_light_are_named() -> None:
+    named = (
+        r"^--resolution \(resolution\), --window \(window_mm\): got '.*irradiance.exr', a picture; allowed: a Mitsuba scene, or "
+    )
+    with pytest.raises(pixsim.PixsimError, match=named + r"none of these\. Take them out of a settings file"):
+        pixsim.run(DATA / "run/irradiance.exr", config=DATA / "run/settings.toml")
