@@ -349,7 +349,7 @@ def test_range_has_the_dots_of_both_sensors_and_half_and_twice_the_distance(tmp_
 def test_each_viewing_is_a_comparison_with_that_display(tmp_path: Path) -> None:
     """The same frames on another display, which only then is stated: bit for bit, with one chart and one film."""
     files = [sheet(tmp_path / "a.toml"), sheet(tmp_path / "b.toml", pitch_um=9.1, pixels="[140, 120]")]
-    options: dict[str, Any] = {"resolution": 128, "repeats": 2, "jobs": 1, "parameters": {MAX_LP_PER_MM: 25.0}}
+    options: dict[str, Any] = {"resolution": 48, "repeats": 2, "jobs": 1, "parameters": {MAX_LP_PER_MM: 25.0}}
     views = pixsim.compare(files, **options).views("b")
     assert len(views) == 9
     for view in views[::4]:
@@ -363,7 +363,7 @@ def test_another_sensor_changes_no_verdict_on_a_pair(match: Any, third: tuple[fl
     """A finer one has more dots and detail, a small one a wide border and, behind one lens, a narrow field."""
     files = [sheet(tmp_path / "a.toml"), sheet(tmp_path / "b.toml", pitch_um=16.0, pixels="[80, 70]")]
     more = sheet(tmp_path / "third.toml", 3.0, *third)
-    options: dict[str, Any] = {"match": match, "resolution": 64, "repeats": 2, "jobs": 1}
+    options: dict[str, Any] = {"match": match, "resolution": 48, "repeats": 2, "jobs": 1}
     alone = pixsim.compare(files, **options)
     among = pixsim.compare([*files, more], **options)
     assert among.pair("b").answers() == alone.answers()

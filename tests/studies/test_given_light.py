@@ -1,9 +1,8 @@
 """A study of light that is given, rendered or of another program, in place of a scene."""
 
-import csv
-
 import numpy as np
 import pytest
+from helpers.tiny import COARSE, rows
 
 import pixsim
 from pixsim import Camera, PixsimError, SpectralImage, study
@@ -13,7 +12,7 @@ repeats = 2
 pitch.values_um = [20, 28, 40, 56, 80]
 display.dots = 48
 """
-SCENE = 'scene = {file = "csf", parameters = {resolution = 64, spp = 4}}\n'
+SCENE = f'resolution = {COARSE}\nscene = {{file = "csf", parameters = {{luminance_cd_per_m2 = 100.0}}}}\n'
 
 
 @pytest.fixture(scope="module")
@@ -33,8 +32,7 @@ def other_light(seed=1):
 
 
 def rows_in(folder):
-    rows = list(csv.DictReader((folder / "results.csv").read_text().splitlines()))
-    return [{name: value for name, value in row.items() if name != "key"} for row in rows]
+    return [{name: value for name, value in row.items() if name != "key"} for row in rows(folder)]
 
 
 def test_the_light_of_a_study_gives_its_rows_again_bit_for_bit(folder):
@@ -68,7 +66,7 @@ def test_a_target_in_given_light_is_judged_as_in_the_light_of_its_scene(folder, 
     """Its rows, bit for bit; those of another light without the target, whose header says the same, are others."""
     metrics = {"metrics": ["detectability", "npwe"], "jobs": 1}
     target = {"size_um": 300.0, "contrast": 0.1, "luminance_cd_per_m2": 100.0}
-    rendered = study(folder / "small.toml", tmp_path / "rendered", scene="target", parameters=target, **metrics)
+    rendered = study(folder / "small.toml", tmp_path / "rendered", scene="target", parameters=target, resolution=COARSE, **metrics)
     own = {"light": rendered.irradiance} | metrics
     given = study(folder / "small.toml", tmp_path / "given", without=rendered.without, **own)
     assert rows_in(tmp_path / "given") == rows_in(tmp_path / "rendered")

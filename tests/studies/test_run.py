@@ -136,11 +136,11 @@ def test_repeats_are_in_all_outputs(made: RunResult, tmp_path: Path) -> None:
     assert "; 3 sensors" in command(f"{LINE} --repeats 3 --dry-run")[1]
 
 
-def test_a_tolerance_takes_more_sensors_than_asked_for_but_not_fewer(tmp_path: Path) -> None:
-    line = "run csf --resolution 64 --tolerance-delta-e 0.5 --pixel.pitch-um 42.4 --display.dots 32 --json"
-    chosen = json.loads(command(f"{line} --out {tmp_path / 'chosen'}")[1])
+def test_a_tolerance_takes_more_sensors_than_asked_for_but_not_fewer() -> None:
+    options: dict[str, Any] = {"resolution": 64, "tolerance_delta_e": 0.5, "pixel": {"pitch_um": 42.4}, "display": {"dots": 32}}
+    chosen = pixsim.run("csf", **options).as_dict()
     assert "repeats" not in chosen
-    asked = json.loads(command(f"{line} --repeats {chosen['sensors'] + 2} --out {tmp_path / 'asked'}")[1])
+    asked = pixsim.run("csf", repeats=chosen["sensors"] + 2, **options).as_dict()
     assert asked["repeats"] == asked["sensors"] == asked["error_budget"]["settings"]["sensors"] == chosen["sensors"] + 2
     sources = [each["error_budget"]["sources"]["seeds"]["delta_e"] for each in (asked, chosen)]
     assert sources[0] / sources[1] == pytest.approx((chosen["sensors"] / (chosen["sensors"] + 2)) ** 0.5, rel=0.02)  # 3 digits
