@@ -646,7 +646,7 @@ def datasheet(
     signal is raised. Writes datasheet.csv, summary.json, figures/*.svg and *.csv and report.html.
     """
     import_less()
-    from pixsim.measure.datasheet import datasheet as measured, datasheet_settings
+    from pixsim.measure.datasheet import datasheet_settings, make_datasheet
     from pixsim.measure.datasheet_report import FILES, datasheet_document, sheet_name
     from pixsim.show.render import write
 
@@ -655,9 +655,8 @@ def datasheet(
     folder = out or DEFAULT_OUT / sheet_name(settings.pixel)
     check_replaceable(folder, FILES)
     with output_folder(folder), stages() as stage:  # an invalid folder fails before the measurement
-        sheet = measured(
-            pixel=settings.pixel, exposure=settings.exposure, wavelength_nm=wavelength_nm, seed=settings.seed, progress=stage
-        )
+        own = settings.pixel, settings.exposure
+        sheet = make_datasheet(*own, stage=stage, wavelength_nm=wavelength_nm, seed=settings.seed)
         stage("report")
         document = datasheet_document(sheet)
         report = write(document, folder, figures=figures)

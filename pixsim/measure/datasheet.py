@@ -37,18 +37,23 @@ from pixsim.measure.estimators import (
     root,
 )
 from pixsim.measure.experiment import Experiment, make_experiment
+from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.noise import constant_e, signal_at_snr_e, variance_e2
 from pixsim.sensor.photodiode import stored_signal_e
-from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY, Pixel
 from pixsim.sensor.readout import frame_variance_dn2
 from pixsim.sensor.saturation import level_moments, peak_e
+from pixsim.sensor.stages import STAGES
 from pixsim.show.pages import Figures, plain, rows_csv
 from pixsim.show.render import notebook, write
 from pixsim.show.sentences import rounded
+from pixsim.viewer.develop_options import Develop
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import packaged_sensors, run_settings
+from pixsim.viewer.unused import TABLES, Configuration, Rule, fields_of, warn_of_unused_settings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -359,6 +364,20 @@ def datasheet(
     return make_datasheet(settings.pixel, settings.exposure, stage=progress, wavelength_nm=wavelength_nm, seed=settings.seed)
 
 
+NOT_OF_SHEETS = Rule(  # camera and lens of a sensor stand in its file for other commands
+    (
+        *(name for name in Run.model_fields if name not in (*TABLES, "seed")),
+        *fields_of("exposure", Exposure, "integration_s", "gain_db"),
+        *(name for stage in STAGES.values() for name in stage.settings if stage.table != "exposure"),
+        *fields_of("correction", Correction),
+        *fields_of("develop", Develop),
+        *fields_of("display", Display),
+        "pixel.registration",
+    ),
+    lambda c: "a data sheet is of single exposures of even light, as they are read",
+)
+
+
 def datasheet_settings(
     file: str | os.PathLike[str] | None,
     config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
@@ -366,7 +385,10 @@ def datasheet_settings(
     exposure: Exposure | Mapping[str, Any] | None,
     seed: int | str | None,
 ) -> Run:
-    """Return the settings of `datasheet`, whose arguments these are. Raises PixsimError that lists all problems."""
+    """Return the settings of `datasheet`, whose arguments these are. Raises PixsimError that lists all problems.
+
+    Warns of settings that a data sheet does not take.
+    """
     files = listed(config)
     if isinstance(pixel, Pixel) and (given := [name for name, value in (("file", file), ("config", files)) if value]):
         raise invalid(", ".join(given), "with a Pixel", "fields of a pixel beside a file", "Set these values in the Pixel instead.")
@@ -381,7 +403,9 @@ def datasheet_settings(
             )
         pixel = fields | {"technology": name}
     options = {"pixel": pixel or None, "exposure": exposure, "seed": seed}
-    return run_settings(files, {name: value for name, value in options.items() if value is not None})
+    settings = run_settings(files, {name: value for name, value in options.items() if value is not None})
+    warn_of_unused_settings({"": [replace(Configuration.of(settings, derive(settings.pixel)), own_rules=(NOT_OF_SHEETS,))]})
+    return settings
 
 
 def make_datasheet(pixel: Pixel, exposure: Exposure | None = None, *, stage: Stage | None = None, **how: Any) -> DataSheet:

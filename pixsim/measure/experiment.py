@@ -16,7 +16,6 @@ import numpy as np
 
 from pixsim.base.arrays import Array, stream
 from pixsim.base.errors import invalid
-from pixsim.base.notes import warn
 from pixsim.measure.estimators import Frames, PairSeries, pair, series
 from pixsim.sensor.collection import collected_fraction, even_light
 from pixsim.sensor.exposure import Exposure
@@ -239,8 +238,6 @@ def make_experiment(
     warn_of_disagreements(pixel)
     warn_of_implausible_numbers(pixel)
     exposure = exposure or Exposure()
-    if exposure.frames > 1:
-        warn("exposure.frames is not used: a data sheet is of single exposures")
     raw = most_frequent_channel(derive(pixel).at_gain(exposure.gain_db).as_read)
     time_s = usual_integration_s(raw, exposure)
     physics = with_black_level(raw, time_s)

@@ -21,7 +21,9 @@ from pixsim.scene.convergence import RENDER_NOISE
 from pixsim.scene.plan import Plan, make_plan
 from pixsim.scene.renderer import Renderer
 from pixsim.scene.scene import Scene, chart_parameters
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import diffracted_rate
+from pixsim.sensor.motion_options import STILL, Motion
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.show.render import write_files
@@ -39,6 +41,7 @@ from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.score import SeenPicture, white_header
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
+from pixsim.viewer.unused import RULES, Configuration, Rule, fields_of, of_calibration, warn_of_unused_settings
 
 LONG_S = 5.0
 # (name, photo-charge in full wells, seconds): from mid-grey to a sensor in the sun for hours.
@@ -149,6 +152,18 @@ def accuracy(
     return survey(os.fspath(scene), settings, quick=quick, sensor=sensor, variant=variant, progress=stage)
 
 
+NOT_OF_SURVEYS = Rule(
+    (
+        *("metrics", "metric", "noise_budget", "tolerance_delta_e", "render_noise", "max_seconds", "window_mm"),
+        *("exposure.shutter", "exposure.line_time_us"),
+        *(name for name in fields_of("exposure", Exposure) if "flicker" in name),
+        *fields_of("motion", Motion),
+    ),
+    lambda c: "the errors are those of the mean ΔE of a picture that stands still in steady light",
+)
+RULES_OF_SURVEYS = NOT_OF_SURVEYS, *(rule for rule in RULES if rule.why is not of_calibration)  # of a tolerance in ΔE
+
+
 def survey(
     source: str, settings: Run, *, quick: bool = False, sensor: str | None = None, variant: str | None = None, progress: Stage
 ) -> Accuracy:
@@ -157,6 +172,8 @@ def survey(
     Raises PixsimError if the scene cannot be rendered or captured.
     """
     depth = ladders.QUICK if quick else ladders.FULL
+    given = Configuration.of(settings, derive(settings.pixel))
+    warn_of_unused_settings({"": [replace(given, own_rules=RULES_OF_SURVEYS)]})
     progress("parse and render")
     start = time.perf_counter()
     scene = loaded_scene(source, settings.scene, settings.resolution, variant=variant, sensor=sensor)
@@ -165,7 +182,8 @@ def survey(
     if plan.resolution:
         scene = scene.with_resolution(plan.resolution)
     stages = {"parse": time.perf_counter() - start}
-    design = ProbeDesign(Imaging.of(settings, camera), settings.seed)
+    still = replace(Imaging.of(settings, camera), motion=STILL, exposure=settings.exposure.steady)
+    design = ProbeDesign(still, settings.seed)
     image, seconds = first_picture(scene, camera, plan, design)
     stages |= seconds | seconds_to_score(image, design, source, settings)
     subject = with_reference(Subject(scene, camera, plan, design, image, seconds["render"]), depth, progress)

@@ -46,6 +46,7 @@ class Configuration:
     lens_of : the sensor whose lens this one has in a comparison; empty for its own
     is_compared : whether it is one of a comparison's
     metrics, metric : names of the metrics that judge, and their settings, of a call with records
+    own_rules : of a command that takes other settings than a run; None for those of runs
     """
 
     physics: PixelPhysics
@@ -63,6 +64,7 @@ class Configuration:
     metrics: tuple[str, ...] = ()
     metric: MetricOptions = METRIC_OPTIONS
     motion: Motion = STILL
+    own_rules: tuple[Rule, ...] | None = None
 
     @classmethod
     def of(cls, run: Run, physics: PixelPhysics) -> Configuration:
@@ -73,7 +75,7 @@ class Configuration:
     @property
     def rules(self) -> tuple[Rule, ...]:
         """The rules on its settings."""
-        return RULES
+        return RULES if self.own_rules is None else self.own_rules
 
     @property
     def tables(self) -> dict[str, Record]:

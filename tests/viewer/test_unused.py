@@ -14,9 +14,11 @@ from helpers.sheets import sheet
 from helpers.tiny import tiny
 
 import pixsim
+from pixsim.base.errors import PixsimError
 from pixsim.base.layers import nested
 from pixsim.base.toml import packaged
 from pixsim.light.spectral import SpectralImage
+from pixsim.measure.datasheet import datasheet_settings
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import camera_with_lens
 from pixsim.optics.lens_options import OF_ANY_LENS, LensOptions
@@ -408,6 +410,41 @@ def test_settings_of_lenses_in_calls_with_records_say_so() -> None:
     for call in (partial(pixsim.evaluate, light, pixel=pixel), partial(pixsim.sweep, light, [pixel], jobs=1)):
         with pytest.warns(UserWarning, match=r"lens\.veiling_glare_outside is not used: lens\.veiling_glare is 0"):
             call(camera=camera, display=Display(dots=32))
+
+
+ELSEWHERE = """
+[develop]
+denoise = "wavelet"
+[motion]
+image_um_per_s = [9.0, 0.0]
+[lens]
+veiling_glare = 0.1
+[exposure]
+flicker_hz = 100
+flicker_depth = 0.5
+gain_db = 6
+[pixel]
+registration = [0.5, 0.5]
+"""
+
+
+def test_commands_say_which_tables_they_do_not_take(tmp_path: Path) -> None:
+    path = tmp_path / "sensor.toml"
+    path.write_text(ELSEWHERE, encoding="utf-8")
+    of_sheet = "exposure.flicker_hz, exposure.flicker_depth, lens.veiling_glare, motion.image_um_per_s, develop.denoise"
+    words = re.escape(f"{of_sheet}, pixel.registration are not used: a data sheet is of single exposures of even light")
+    with pytest.warns(UserWarning, match=words):
+        assert datasheet_settings(None, [path], None, None, None).exposure.gain_db == 6.0
+    still = "exposure.flicker_hz, exposure.flicker_depth, motion.image_um_per_s are not used: the errors are those of the mean ΔE"
+    with (
+        pytest.warns(UserWarning, match=re.escape(still)),
+        pytest.raises(PixsimError, match=r"no\.xml"),
+    ):  # before the scene is read
+        pixsim.accuracy(tmp_path / "no.xml", config=path, pixel={"pitch_um": 20.0})
+    with warnings.catch_warnings():  # a camera's own lens stands in its file for other commands
+        warnings.simplefilter("error")
+        datasheet_settings("imx363", [], None, None, None)
+        datasheet_settings("4t-bsi", [], {"pitch_um": 2.0}, {"integration_s": 0.01, "gain_db": 6.0}, 3)
 
 
 def test_rules_name_settings_that_exist() -> None:
