@@ -26,7 +26,7 @@ from pixsim.sensor.integration import (
     moved_signals,
     pixels_on,
 )
-from pixsim.sensor.motion import velocity_um_per_s
+from pixsim.sensor.motion import Moving, velocity_um_per_s
 from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.noise import constant_e, variance_e2
 from pixsim.sensor.photodiode import responds_linearly, saturation_level_e, stored_signal_e
@@ -69,6 +69,18 @@ def integration_time_s(exposure: Exposure, physics: PixelPhysics, brightest_e_pe
     target_e = exposure.well_target * physics.at_exposure(exposure).saturation_e
     longest_s = exposure.times * exposure.max_integration_s
     return longest_s if brightest * longest_s <= target_e else target_e / brightest
+
+
+def metered_motion(
+    still_e_per_s: Array, physics: PixelPhysics, exposure: Exposure, um_per_s: tuple[float, float]
+) -> tuple[Moving, Exposure]:
+    """Return how light moves in a frame that is metered on the picture that stands still, and the exposure with its time.
+
+    still_e_per_s : signal of that picture, (rows, columns)
+    um_per_s : velocity [x, y] of the image on the sensor
+    """
+    time_s = integration_time_s(exposure, physics, float(still_e_per_s.max()))
+    return moving_in(um_per_s, time_s, exposure), lasting(exposure, time_s)
 
 
 # --- fixed pattern ----------------------------------------------------------------------------------------------------
@@ -574,7 +586,6 @@ def capture(
     irradiance.validate()
     lights, size_um = lights_of(irradiance, camera, physics), array_size_um(irradiance, camera)
     still, _ = array_signal(lights, irradiance.pitch_um, physics, size_um)
-    time_s = integration_time_s(exposure, physics, float(still.max()))
-    moving = moving_in(velocity_um_per_s(motion, camera, physics.pitch_um), time_s, exposure)
+    moving, exposure = metered_motion(still, physics, exposure, velocity_um_per_s(motion, camera, physics.pitch_um))
     signal, each = moved_signals(lights, irradiance.pitch_um, physics, size_um, moving, exposure.frames)
-    return capture_from_rates(signal, sensor, lasting(exposure, time_s), rng, each)
+    return capture_from_rates(signal, sensor, exposure, rng, each)

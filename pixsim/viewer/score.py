@@ -58,9 +58,9 @@ from pixsim.sensor.readout import (
     lasting,
     least_black_level_dn,
     make_frame,
+    metered_motion,
     sample_sensor,
 )
-from pixsim.sensor.stages import moving_in
 from pixsim.show.document import pairs
 from pixsim.show.figures import new_figure, own_style
 from pixsim.show.pages import rows_csv
@@ -1060,9 +1060,8 @@ def _moved(
 
     physics : of the pixels, before they are read
     """
-    exposure = still.exposure
-    time_s = integration_time_s(exposure, still.physics, float(still.signal_e_per_s.max()))
-    moving = moving_in(um_per_s, time_s, exposure)
+    moving, exposure = metered_motion(still.signal_e_per_s, still.physics, still.exposure, um_per_s)
+    still = replace(still, exposure=exposure)
     if not room_is_checked:
         check_room(still, moving, light.array_um)
 
@@ -1072,7 +1071,6 @@ def _moved(
     return replace(
         still,
         signal_e_per_s=signal,
-        exposure=lasting(exposure, time_s),
         without_e_per_s=None if without is None else array_signal(without, *pixels)[0],
         um_per_s=um_per_s,
         moving=moving,

@@ -286,6 +286,10 @@ ERRORS: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any], str]] = 
         {"image_um_per_s": (4e4, 0.0), "margin_um": 10.0}, {"integration_s": 1e-3}, {},
         "motion: got a path of 40 µm on the sensor in 1 ms; allowed: at most 2",
     ),
+    "longer than the margin in the time of the automatic exposure": (
+        {"image_um_per_s": (4e4, 0.0), "margin_um": 10.0}, {"max_integration_s": 1e-3}, {},
+        "motion: got a path of 40 µm on the sensor in 1 ms; allowed: at most 2",
+    ),
     "longer than the die": (
         {"image_um_per_s": (0.0, 4e5)}, {"integration_s": 1e-3}, {},
         "motion: got a path of up to 400 µm on the sensor; allowed: one that leaves something to score",
