@@ -229,6 +229,6 @@ def draw_terms(axes: Axes, x: Array, terms: dict[str, Array], interpolation: str
         axes.plot(x, mtf, markevery=1 if x.size < MANY_POINTS else x.size // 5, ms=4, label=name.format(interpolation), **look.line)
     product = np.prod(list(terms.values()), axis=0)
     axes.plot(x, product, lw=2.5, color="black", label="product of all")
-    has_stack = bool({"microlens", "opening"} & terms.keys())  # whose additional lines leave less room at a fixed place
-    axes.legend(frameon=False, fontsize=8, loc="best" if has_stack else "lower left", handlelength=LEGEND_LINE)
+    has_more = bool({"microlens", "opening", "motion"} & terms.keys())  # whose additional lines leave less room at a fixed place
+    axes.legend(frameon=False, fontsize=8, loc="best" if has_more else "lower left", handlelength=LEGEND_LINE)
     return product
