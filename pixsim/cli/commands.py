@@ -281,7 +281,7 @@ def plan(
     from pixsim.studies.preparation import loaded_scene, plan_of
 
     chosen = options.settings(tolerance_e=tolerance_e)
-    loaded = loaded_scene(scene, chosen.scene, chosen.resolution, variant=variant, sensor=sensor)
+    loaded = loaded_scene(scene, chosen.scene, chosen.resolution, chosen.display, variant=variant, sensor=sensor)
     made = plan_of(loaded, loaded.camera(chosen.camera, chosen.lens), chosen, full)
     answer(plan_document(made, scene, chosen.pixel.assumption), json)
 

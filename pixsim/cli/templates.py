@@ -33,7 +33,7 @@ EXAMPLES: dict[str, Any] = Camera().model_dump() | {
     "distance_m": 1.0, "margin_um": 20.0,
     "demosaic": "bilinear", "sharpen_radius_px": 1.0, "sharpen_radius_cy_per_deg": 4.0, "corner_cy_per_mm": 0.4,
     "ground_distance_m": 500e3, "solve_for": "contrast",
-    "white_cd_per_m2": 1000.0, "white_w_per_m2_sr": 2.0, "lens.file": "phone", "configuration": 1,
+    "white_cd_per_m2": 1000.0, "white_w_per_m2_sr": 2.0, "white": "diffuser", "lens.file": "phone", "configuration": 1,
     "veiling_glare": 0.01, "veiling_glare_outside": 1.0,
     "relative_illumination": [[0.0, 1.0], [1.0, 0.9], [2.0, 0.7]], "vignetting_factors": "use",
     "parameters": {"resolution": 512}, "scene": {"resolution": 512}, "detail": [0.8, 0.9],

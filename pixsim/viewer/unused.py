@@ -373,6 +373,7 @@ RULES = (
     Rule(
         ("display.white_cd_per_m2",), lambda c: "display.white_w_per_m2_sr states the white" if c.display.white_w_per_m2_sr else ""
     ),
+    Rule(("display.diffuser_reflectance",), lambda c: "" if c.display.white else "display.white is not 'diffuser'"),
     Rule(
         ("display.dots", "display.interpolation"),
         lambda c: "with display.raster = 'one_to_one' dots are pixels" if c.display.raster == "one_to_one" else "",

@@ -165,7 +165,7 @@ MOVES: dict[str, Any] = {
     "develop.tone_gamma": 3.0, "develop.tone_white": 2.0,
     "display.raster": ("one_to_one", "fixed_size"), "display.dots": 20, "display.samples_per_deg": 40.0,
     "display.interpolation": "cubic", "display.gamma": 1.8, "display.bits": 5, "display.white_cd_per_m2": 1.2e5,
-    "display.white_w_per_m2_sr": 300.0,
+    "display.white_w_per_m2_sr": 300.0, "display.white": "diffuser", "display.diffuser_reflectance": 0.5,
     "display.shading_correction": False, "display.filters": "zhang1996", "display.delta_e": "2000", "display.adaptation": "none",
 }  # fmt: skip
 # Without which a setting is refused, or has nothing to act on.
