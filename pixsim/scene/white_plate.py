@@ -15,7 +15,7 @@ from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.optics.camera import Camera
-from pixsim.scene.contents import matrix_of
+from pixsim.scene.contents import FLAT, matrix_of
 from pixsim.scene.tree import Node, Tree, nodes_of
 
 if TYPE_CHECKING:
@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 # Of the object's distance: how far before the plane in focus it stands, so that a chart in that plane does not cover it; half of
 # its side, so that surfaces at up to 60° behind it do not cut it; and half of what is seen of it.
 BEFORE, HALF_SIDE, HALF_VIEW = 2e-3, 1e-3, 5e-4
-STEPS = 500  # towards the lens, where the point in focus is within an object
+STEPS = 1000  # along the axis, at which an object may begin
+SOLID = "sphere", "cube", "cylinder"
 NEAR_CLIP = 0.99  # of its distance: what stands before it does not hide it
 RESOLUTION, FIRST_SPP = 16, 64  # of its picture
 LEVELS, NOISE = 6, 1e-3  # of renders, each with four times the samples of the one before; of its radiance, where none follows
@@ -56,16 +57,19 @@ class WhitePlate(NamedTuple):
 def distance_of_plate_m(state: Tree, sensor: Node, focus_m: float) -> float:
     """Return the distance from the lens at which a plate stands: just before the plane in focus.
 
-    Where that point is within a sphere, a cube or a cylinder that does not contain the lens, it is before this object.
+    Where the axis meets a rectangle, a disc, a sphere, a cube or a cylinder nearer than that, it is just before this one. Objects
+    that contain the lens, as a room does, are left out, and so are meshes.
     """
-    to_world = matrix_of(sensor)
-    solids = [node for _, node in nodes_of(state, "Shape") if node.plugin in ("sphere", "cube", "cylinder")]
-    others = [node for node in solids if not _contains(node, to_world @ [0.0, 0.0, 0.0, 1.0])]
-    for step in range(STEPS):
-        distance_m = focus_m * (1 - BEFORE) * (1 - step / STEPS)
-        if not any(_contains(node, to_world @ [0.0, 0.0, distance_m, 1.0]) for node in others):
-            return distance_m
-    return focus_m * (1 - BEFORE)
+    lens, axis = matrix_of(sensor)[:3, 3], matrix_of(sensor)[:3, 2]
+    tried_m = np.linspace(0.0, focus_m, STEPS + 1)
+    nearest_m = focus_m
+    for _, node in nodes_of(state, "Shape"):
+        if node.plugin in FLAT:
+            nearest_m = min(nearest_m, _met_m(node, lens, axis))
+        elif node.plugin in SOLID:
+            within = _contains(node, lens + tried_m[:, None] * axis)
+            nearest_m = nearest_m if within[0] or not within.any() else min(nearest_m, float(tried_m[within.argmax() - 1]))
+    return nearest_m * (1 - BEFORE)
 
 
 def place_of_plate(sensor: Node, distance_m: float, focus_m: float) -> tuple[float, ...]:
@@ -76,18 +80,36 @@ def place_of_plate(sensor: Node, distance_m: float, focus_m: float) -> tuple[flo
     return tuple((matrix_of(sensor) @ plate).ravel().tolist())
 
 
-def _contains(node: Node, point: Array) -> bool:
-    """Return whether a sphere, cube or cylinder contains a point (4,) of the world."""
-    own = (np.linalg.inv(matrix_of(node)) @ point)[:3]
-    if node.plugin == "sphere":
-        centre = np.array(node.get("center", [0.0, 0.0, 0.0]), float).ravel()
-        return bool(np.linalg.norm(own - centre) <= float(node.get("radius", 1.0)))
+def _in_node(node: Node, points: Array, last: float = 1.0) -> Array:
+    """Return points (..., 3) of the world, or directions (`last` = 0), in the frame of a shape."""
+    return np.asarray(
+        (np.concatenate([points, np.full((*points.shape[:-1], 1), last)], -1) @ np.linalg.inv(matrix_of(node)).T)[..., :3]
+    )
+
+
+def _met_m(node: Node, lens: Array, axis: Array) -> float:
+    """Return how far from the lens the axis meets a rectangle or a disc; infinity where it does not."""
+    origin, direction = _in_node(node, lens), _in_node(node, axis, 0.0)
+    away_m = -origin[2] / direction[2] if direction[2] else math.inf
+    if not 0 < away_m < math.inf:
+        return math.inf
+    x, y = np.abs(origin + away_m * direction)[:2]
+    inside = math.hypot(x, y) <= 1 if node.plugin == "disk" else max(x, y) <= 1
+    return float(away_m) if inside else math.inf
+
+
+def _contains(node: Node, points: Array) -> Array:
+    """Return whether a sphere, cube or cylinder contains points (n, 3) of the world, (n,)."""
+    own = _in_node(node, points)
     if node.plugin == "cube":
-        return bool(np.abs(own).max() <= 1)
+        return np.asarray(np.abs(own).max(axis=1) <= 1)
+    radius = float(node.get("radius", 1.0))
+    if node.plugin == "sphere":
+        return np.asarray(np.linalg.norm(own - np.array(node.get("center", [0.0, 0.0, 0.0]), float).ravel(), axis=1) <= radius)
     first, last = (np.array(node.get(f"p{end}", [0.0, 0.0, end]), float).ravel() for end in (0, 1))
     axis = last - first
-    along = float((own - first) @ axis / (axis @ axis))
-    return 0 <= along <= 1 and bool(np.linalg.norm(own - first - along * axis) <= float(node.get("radius", 1.0)))
+    along = (own - first) @ axis / (axis @ axis)
+    return np.asarray((along >= 0) & (along <= 1) & (np.linalg.norm(own - first - along[:, None] * axis, axis=1) <= radius))
 
 
 def dark_plate(distance_m: float) -> PixsimError:
