@@ -181,7 +181,8 @@ def of_doubling(c: Configuration) -> str:
 
 def of_temperature(c: Configuration) -> str:
     turns_forward = c.physics.diode is not None and c.pixel.well_limit == "diode"
-    if c.physics.reset_noise_e or turns_forward:
+    diffuses = c.physics.charge is not None and c.physics.charge.diffusion_um is not None
+    if c.physics.reset_noise_e or turns_forward or diffuses:
         return ""
     if c.physics.dark_current_e_per_s and c.pixel.dark_current_e_per_s is not None:
         return "pixel.dark_current_e_per_s holds at every temperature; pixel.dark_current = { e_per_s, at_c } follows it"
