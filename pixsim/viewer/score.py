@@ -22,18 +22,12 @@ from pixsim.base.records import Record, content_hash
 from pixsim.light.spectral import DIFFUSER, DIFFUSER_W, LEAST_LM_PER_W, WHITE_RADIANCE, SpectralImage, without_outliers
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import ideal_light
-from pixsim.sensor.collection import (
-    Collection,
-    ColourCollection,
-    collected_area_um2,
-    collections_of,
-    shading_of,
-    warn_of_stack_limits,
-)
+from pixsim.sensor.collection import Collection, ColourCollection, collected_area_um2, collections_of, shading_of
 from pixsim.sensor.colour import Layout, of_channels
 from pixsim.sensor.correction import correct
 from pixsim.sensor.correction_options import NO_CORRECTION, Correction
 from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.infrared import warn_of_light
 from pixsim.sensor.integration import (
     ChannelLight,
     array_signal,
@@ -1206,7 +1200,7 @@ def make_imaging_chain(
     physics = derive(pixel)
     warn_of_disagreements(pixel)
     warn_of_implausible_numbers(pixel)
-    warn_of_stack_limits(physics, camera, irradiance.wavelength_nm)
+    warn_of_light(physics, camera, irradiance)
     border_um = scored_border_um(physics, motion, exposure, camera)
     display = with_white(display, white_header([SeenPicture(irradiance, camera, physics, border_um)], display))
     judging.check(MetricContext(physics.layout is not None, without is not None))
