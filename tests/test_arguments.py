@@ -287,7 +287,7 @@ def is_right(result: Any) -> bool:
 def kind_is_wrong(hint: str, value: Any) -> bool:
     """Whether a value cannot be meant by an annotation, as text."""
     if value is None:
-        return "None" not in hint and not hint.startswith("typing.Optional") and hint not in ANY_VALUE
+        return "None" not in hint and "typing.Optional" not in hint and hint not in ANY_VALUE
     plain = {"float": (int, float), "int": (int, float), "str": (str,), "bool": (int,)}
     if hint.removesuffix(" | None") in plain:
         return not isinstance(value, plain[hint.removesuffix(" | None")])

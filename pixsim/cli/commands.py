@@ -281,7 +281,7 @@ def plan(
     from pixsim.studies.preparation import loaded_scene, plan_of
 
     chosen = options.settings(tolerance_e=tolerance_e)
-    loaded = loaded_scene(scene, chosen.scene, chosen.resolution, variant=variant, sensor=sensor)
+    loaded = loaded_scene(scene, chosen.scene, chosen.resolution, chosen.display, variant=variant, sensor=sensor)
     made = plan_of(loaded, loaded.camera(chosen.camera, chosen.lens), chosen, full)
     answer(plan_document(made, scene, chosen.pixel.assumption), json)
 
@@ -683,9 +683,10 @@ def lens(
         Literal["paraxial", "axis", "field"] | None,
         Parameter(
             help="Move the image plane: to the paraxial focus, to the least rms wavefront on the axis or over the field "
-            "[default: the file's plane, or axis if an object distance is given]."
+            "[default: the file's plane, or axis if an object distance or --focus-nm is given]."
         ),
     ] = None,
+    focus_nm: Annotated[float | None, Parameter(help="Wavelength of that focus [default: those of the file].")] = None,
     object_distance_m: Annotated[
         float | None, Parameter(help="Distance of the object from the entrance pupil [default: infinite].")
     ] = None,
@@ -745,6 +746,7 @@ def lens(
             f_number=f_number,
             field_deg=field_deg,
             refocus=refocus,
+            focus_nm=focus_nm,
             object_distance_m=object_distance_m,
             wavelength_nm=wavelength_nm or (),
             pitch_um=pitch_um,

@@ -195,7 +195,8 @@ class Session:
     def _light_key(self, job: RunJob) -> str:
         """Return what light must have in common to serve for a first picture: all but the accuracy that each pixel asks for."""
         bands = [] if job.cases[0].picture else job.demand.plan.bands.edges_nm.tolist()
-        return content_hash([job.settings.model_dump(mode="json", include=LIGHT), job.camera.model_dump(mode="json"), bands])
+        own = [job.camera.model_dump(mode="json"), bands, job.settings.display.white]
+        return content_hash([job.settings.model_dump(mode="json", include=LIGHT), *own])
 
     def _kept(self, job: RunJob) -> LitRun | None:
         """Return a run for the first picture, by ΔE alone, in light that is known or comes at once; None if it must be rendered."""

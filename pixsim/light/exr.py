@@ -19,7 +19,7 @@ from pixsim.base.arguments import LARGEST, SMALLEST, checks_arguments
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import check_compression, check_size, opened, quiet_stdout, replacing
 from pixsim.base.mapped import release
-from pixsim.light.spectral import EDGE, LAMP, WHITE_LAMPS, WHOLE, SpectralImage
+from pixsim.light.spectral import DIFFUSER, DIFFUSER_W, EDGE, LAMP, WHITE_LAMPS, WHOLE, SpectralImage
 
 MAGIC = 20000630
 TILED = 0x200
@@ -129,6 +129,7 @@ def checked_own(metadata: dict[str, Any]) -> dict[str, Any]:
     numbers = np.array(metadata["wavelength_nm"] + metadata["band_width_nm"] + header.get(LAMP, []), float)
     if numbers.size % len(metadata["wavelength_nm"]) or not np.isfinite(numbers).all():
         raise ValueError("there must be one finite number for each band")
+    check_diffuser(header.get(DIFFUSER, {}), len(metadata["wavelength_nm"]))
     if not isinstance(lamps := header.get(WHITE_LAMPS, []), list) or not all(isinstance(name, str) for name in lamps):
         raise ValueError(f"{WHITE_LAMPS} must be a list of names")
     reduced = header.get("reduced", {"samples": [1, 1], "factor": 1.0})
@@ -137,6 +138,17 @@ def checked_own(metadata: dict[str, Any]) -> dict[str, Any]:
     if not SMALLEST <= header.get("luminance_cd_per_m2", 1.0) <= LARGEST:
         raise ValueError(f"luminance_cd_per_m2 must be {SMALLEST:g} to {LARGEST:g}")
     return metadata
+
+
+def check_diffuser(stated: dict[str, Any], bands: int) -> None:
+    """Check a header's entry on a white plate. Raises ValueError or TypeError if it has another type or value."""
+    if not isinstance(stated, dict):
+        raise TypeError(f"{DIFFUSER} must be a table")
+    per_nm, numbers = (np.array(each, float) for each in (stated.get(DIFFUSER_W, []), [stated.get("distance_m", 1.0)]))
+    others = [value for name, value in stated.items() if name not in (DIFFUSER_W, "distance_m")]
+    values = np.array([*per_nm, *numbers, *others], float)
+    if per_nm.size not in (0, bands) or not np.isfinite(values).all() or values.min() < 0:
+        raise ValueError(f"{DIFFUSER} must be a table of numbers of 0 or more, one for each band where it has {DIFFUSER_W}")
 
 
 Rows = Callable[[slice], NDArray[np.float32]]

@@ -36,6 +36,9 @@ DIGEST = "digest"  # entry of a header: of light that was given, whose other ent
 # Entries of a header: the light of the scene's white, in each band; and the lamps that make it together, if the scene names them.
 LAMP, WHITE_LAMPS = "lamp_w_per_m2_sr_nm", "white_lamps"
 WHITE_RADIANCE = "white_w_per_m2_sr"  # entry of a header: radiance of white, of light without luminance
+# Entry of a header: what a white plate at the object's distance shows (`checked_diffuser`), for `display.white = "diffuser"`.
+DIFFUSER = "diffuser"
+DIFFUSER_W = "w_per_m2_sr_nm"  # of that entry: radiance of a perfect diffuser, in each band
 LEAST_LM_PER_W = 0.1  # of light whose amount a luminance says; an incandescent lamp has 15, one line of 750 nm 0.08
 LUMINOUS_EFFICACY_LM_PER_W = 683.002  # K_m for standard air, CIE 018:2019
 
@@ -353,8 +356,11 @@ class SpectralImage:
     def white_spectrum(self) -> Array | None:
         """Light of the scene's white in each band, (B,) in any unit; None if it is unknown.
 
-        It is that of the lamps that the scene names as its white, else the spectrum that all lamps share.
+        It is that of a white plate where the light says what one shows (`DIFFUSER`), or that of the lamps that the scene names as
+        its white, else the spectrum that all lamps share.
         """
+        if of_plate := self.header.get(DIFFUSER, {}).get(DIFFUSER_W):
+            return np.asarray(of_plate, float)
         if lamp := self.header.get(LAMP):
             return np.asarray(lamp, float)
         return self.factors[0][0] if self.factors and len(self.factors[0]) == 1 else None

@@ -445,6 +445,7 @@ def lens(
     f_number: FNumberOrPinhole | None = None,
     field_deg: float | None = None,
     refocus: Literal["paraxial", "axis", "field"] | None = None,
+    focus_nm: Positive | None = None,
     object_distance_m: float | None = None,
     wavelength_nm: Sequence[Positive] = (),
     pitch_um: Positive | None = None,
@@ -465,7 +466,8 @@ def lens(
     f_number : stop the lens down
     field_deg : largest field angle that is looked at
     refocus : move the image plane to the paraxial focus, or to the least rms wavefront on the axis or over the field; None means
-        the file's plane, or axis if an object distance is given
+        the file's plane, or axis if an object distance or `focus_nm` is given
+    focus_nm : wavelength of that focus; None means those of the file
     object_distance_m : of the object from the entrance pupil
     wavelength_nm : of equal weight; empty means those of the file
     pitch_um : of a pixel, whose Nyquist frequency joins 10, 30 and 60 lp/mm
@@ -489,7 +491,7 @@ def lens(
         raise invalid(setting("field_deg"), f"{field_deg:g}", "0, or 1e-6 to below 90 degrees")
     with collected_notes() as notes:
         own = load_lens(file, configuration, semi_diameters, vignetting_factors, glass_catalogues, unknown_glass)
-        chosen = chosen_lens(own, focal_length_mm, f_number, field_deg, refocus, object_distance_m)
+        chosen = chosen_lens(own, focal_length_mm, f_number, field_deg, refocus, object_distance_m, focus_nm)
     if progress:
         surfaces, wavelengths = len(chosen.prescription.surfaces), len(wavelength_nm or chosen.prescription.wavelengths_nm)
         progress(f"trace {surfaces} surfaces at {wavelengths} wavelengths" if surfaces * wavelengths > MANY_TO_TRACE else "trace")
@@ -503,6 +505,7 @@ def chosen_lens(
     field_deg: float | None,
     refocus: Literal["paraxial", "axis", "field"] | None,
     object_distance_m: float | None,
+    focus_nm: float | None = None,
 ) -> Lens:
     """Return a lens as the options of `pixsim lens` change it; None leaves it as its file has it.
 
@@ -515,7 +518,7 @@ def chosen_lens(
         lens = lens.stopped_down(f_number)
     if field_deg is not None:
         lens = lens.with_same_rays(max_field_deg=field_deg)
-    if refocus is not None or object_distance_m is not None:
+    if refocus is not None or object_distance_m is not None or focus_nm is not None:
         distance = lens.object_distance_mm if object_distance_m is None else 1e3 * object_distance_m
-        lens = lens.refocused(refocus or "axis", distance)
+        lens = lens.refocused(refocus or "axis", distance, wavelength_nm=focus_nm)
     return lens

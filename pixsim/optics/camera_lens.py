@@ -108,6 +108,7 @@ def camera_with_lens(camera: Camera, given: CameraOptions, chosen: LensOptions) 
         file=file,
         focal_length_mm=scaled_mm,
         refocus=chosen.refocus,
+        focus_nm=chosen.focus_nm,
         ideal=chosen.ideal,
         f_number=float(f"{f_number:.9g}") if given.f_number is None else given.f_number,
         field_mm=field_mm,
@@ -157,7 +158,10 @@ def traced_lens(lens: TracedLens, object_distance_m: float) -> Lens:
     except PixsimError as error:
         raise PixsimError(f"camera.{error}") from None
     half_deg = math.degrees(math.atan(lens.field_mm / lens.focal_length_mm))
-    return scaled.refocused(lens.refocus, 1e3 * object_distance_m, half_deg)
+    try:
+        return scaled.refocused(lens.refocus, 1e3 * object_distance_m, half_deg, lens.focus_nm)
+    except PixsimError as error:
+        raise error if lens.focus_nm is None else PixsimError(f"lens.focus_nm: {error}") from None
 
 
 @lru_cache(maxsize=16)

@@ -1146,6 +1146,7 @@ class Lens:
         focus: Literal["paraxial", "axis", "field"] = "axis",
         object_distance_mm: AnyDistance = math.inf,
         field_deg: float | None = None,
+        wavelength_nm: Positive | None = None,
     ) -> Lens:
         """Return the lens with its image plane moved to the focus of an object plane.
 
@@ -1153,16 +1154,17 @@ class Lens:
             "field", the same over the picture up to `field_deg`, without the tilts, which move details and do not blur them
         object_distance_mm : of the object plane from the entrance pupil
         field_deg : half the diagonal of the picture; the lens's largest field by default
+        wavelength_nm : of the focus; None means the primary one, or those of the file
 
-        Raises PixsimError if there is no real image, or if rays do not reach it.
+        Raises PixsimError if there is no real image, if rays do not reach it, or if a glass is not known at the wavelength.
         """
         lens = replace(self, object_distance_mm=object_distance_mm)
-        lens = lens._moved(lens._paraxial_focus_mm())
+        lens = lens._moved(lens._paraxial_focus_mm(wavelength_nm))
         if focus == "paraxial":
             return lens
         largest = (self.max_field_deg if field_deg is None else field_deg) if focus == "field" else 0.0
         for _ in range(2):  # the second step corrects for what the first one left of a far start
-            lens = lens._moved(lens._best_focus_mm(largest))
+            lens = lens._moved(lens._best_focus_mm(largest, wavelength_nm))
         return lens
 
     def _moved(self, shift_mm: float) -> Lens:
@@ -1175,9 +1177,9 @@ class Lens:
         surfaces = (*others, replace(last, thickness_mm=distance))
         return replace(self, prescription=replace(self.prescription, surfaces=surfaces))
 
-    def _paraxial_focus_mm(self) -> float:
+    def _paraxial_focus_mm(self, wavelength_nm: float | None = None) -> float:
         """Return where the object plane is in focus, in mm behind the image plane."""
-        surfaces, indices = self.prescription.surfaces, self._indices(np.array([self.primary_nm]))
+        surfaces, indices = self.prescription.surfaces, self._indices(np.array([wavelength_nm or self.primary_nm]))
         start = np.array([1.0]), np.array([0.0])
         if math.isfinite(self.object_distance_mm):
             start = np.array([self.object_distance_mm - self._entrance_pupil_mm]), np.array([1.0])
@@ -1185,17 +1187,17 @@ class Lens:
         back = -height / angle * np.asarray(indices[-1]).ravel()
         return float(back[0]) - surfaces[-1].thickness_mm
 
-    def _best_focus_mm(self, largest_deg: float) -> float:
+    def _best_focus_mm(self, largest_deg: float, wavelength_nm: float | None = None) -> float:
         """Return the shift of the image plane in mm that leaves the least mean square of the wavefront.
 
-        Over points of the stop that pass, the file's wavelengths, and the picture's area up to a field; in it, W changes by
-        ∂W/∂z = n (N - N_chief - (L, M - M_chief)·(chief's slope))/λ, and a tilt goes with the picture.
+        Over points of the stop that pass, the file's wavelengths or a given one, and the picture's area up to a field; in it,
+        W changes by ∂W/∂z = n (N - N_chief - (L, M - M_chief)·(chief's slope))/λ, and a tilt goes with the picture.
         """
         node, share = np.polynomial.legendre.leggauss(4)
         if not largest_deg:
             node, share = np.array([-1.0]), np.array([2.0])
         fields = np.degrees(np.arctan(math.tan(math.radians(largest_deg)) * np.sqrt((1 + node) / 2)))
-        wavelengths = self.prescription.wavelengths_nm
+        wavelengths = self.prescription.wavelengths_nm if wavelength_nm is None else (wavelength_nm,)
         fields, weight = (np.repeat(part, len(wavelengths)) for part in (fields, share / 2))
         wavelength = np.tile(np.array(wavelengths), node.size)
         radius = np.sqrt((np.arange(8) + 0.5) / 8)[:, None]

@@ -8,6 +8,7 @@ from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, mode
 
 from pixsim.base.records import Record
 from pixsim.light.curves import Share
+from pixsim.light.quantities import Wavelength
 from pixsim.optics.chief_rays import RelativeIllumination
 from pixsim.optics.quantities import FNumber, FocalLength, OutsideLight
 
@@ -53,6 +54,9 @@ class PrescriptionOptions(Record):
         "axis",
         description="focus on the object: 'paraxial'; 'axis', least rms wavefront there; 'field', least on average over the die",
     )
+    focus_nm: Wavelength | None = Field(
+        None, description="wavelength of that focus, as 850 for infrared light (absent: those of the file)"
+    )
     ideal: Literal["distorted", "undistorted"] = Field(
         "distorted", description="ideal image: 'distorted' as the lens does at one wavelength, or 'undistorted'"
     )
@@ -78,6 +82,7 @@ class PrescriptionOptions(Record):
         """Without a real lens settings are written, and hashed, as if it had no fields; so are ways of reading unused."""
         of_file, fields = PrescriptionOptions.model_fields, type(self).model_fields
         unused = set(of_file) if self.file is None else {name for name in READING if getattr(self, name) == of_file[name].default}
+        unused |= {"focus_nm"} if self.focus_nm is None else set()
         unused |= {name for name in fields if name in OF_ANY_LENS and getattr(self, name) == fields[name].default}
         return {name: value for name, value in handler(self).items() if name not in unused}
 

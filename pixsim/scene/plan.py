@@ -34,14 +34,15 @@ from pixsim.optics.camera_lens import Tiling, rendered_camera, without_lens
 from pixsim.optics.camera_light import camera_factor, camera_pupil
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
 from pixsim.optics.lens_defocus import Defocus
-from pixsim.scene import bands as spectral_bands, film, rules
+from pixsim.scene import bands as spectral_bands, film, rules, white_plate
 from pixsim.scene.bands import Bands, Fit, Witness
 from pixsim.scene.contents import Lamp, Surfaces, checked_lamps, find_bodies, find_lamps, find_surfaces, light_range_nm, white_of
 from pixsim.scene.film import GREEN_NM
 from pixsim.scene.real_lens import decide_defocus, decide_real_lens, real_lens_warnings
 from pixsim.scene.rules import TOLERANCE_E, Chart, Decision
 from pixsim.scene.scene import Scene, film_size, sample_count, sensor_node
-from pixsim.scene.tree import Node, nodes_of
+from pixsim.scene.tree import Node, Tree, nodes_of
+from pixsim.scene.white_plate import WhitePlate, distance_of_plate_m, place_of_plate
 from pixsim.sensor.collection import check_efficiency, half_sizes_um, scale_error, stack_shares
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import pixels_on
@@ -101,6 +102,8 @@ class Plan:
     outside : entry of an irradiance's header on the lamps' light outside 360-830 nm; empty if there is none
     defocus : what the thin lens's defocus is off at depths of the scene behind a real lens, largest errors first
     white_w_per_m2_sr : radiance of texel value 1 of an emissive chart whose light has no luminance, or None
+    plate : how a white plate is rendered beside the scene, if the scene asks for it and is no emissive chart
+    of_chart : whether the scene asks for a white plate and is an emissive chart, whose texel value 1 takes its place
     held : (node, property, spectrum) of tables of surfaces that go on beyond their ends, as `beyond_tables = "hold"` has it
     """
 
@@ -131,6 +134,8 @@ class Plan:
     outside: dict[str, Any] = field(default_factory=dict, repr=False)
     held: tuple[tuple[int, str, Spectrum], ...] = field(default=(), repr=False)
     white_w_per_m2_sr: float | None = None
+    plate: WhitePlate | None = field(default=None, repr=False)
+    of_chart: bool = False
 
     @checks_arguments
     def camera_of(self, camera: Camera) -> Camera:
@@ -349,6 +354,10 @@ def make_render_plan(
     emitters = nodes_of(state, "Emitter")
     alone = len(emitters) == 1 and len(bodies) == 1 and emitters[0][1].plugin == "area" and bool(lamps)
     luminance, radiance = _white_of_chart(lamps[0], span) if alone else (None, None)
+    of_chart = scene.diffuser and bool(luminance or radiance)
+    plate = None
+    if scene.diffuser and not of_chart:
+        plate = _plate_of(scene, seen, state, sensor, pixels, tolerance_e)
     plan = Plan(
         lights=tuple(lights),
         bands=bands,
@@ -374,9 +383,26 @@ def make_render_plan(
         defocus=tuple(defocus),
         ends=ends,
         outside=outside,
+        plate=plate,
+        of_chart=of_chart,
         held=tuple((index, name, table) for (index, name), table in surfaces.held.items()),
     )
     return _without_samples(plan) if exact and not full else plan
+
+
+def _plate_of(scene: Scene, camera: Camera, state: Tree, sensor: Node, pixels: Sequence[Pixel], tolerance_e: float) -> WhitePlate:
+    """Return how a white plate in a scene is rendered.
+
+    camera : thin lens that sees the scene
+    state, sensor : of the scene for this camera
+    """
+    focus_m = camera.object_distance_m
+    distance_m = distance_of_plate_m(state, sensor, focus_m)
+    place = place_of_plate(sensor, distance_m, focus_m)
+    plated = replace(scene, diffuser=False, plate=place, resolution=white_plate.RESOLUTION, _texts={})
+    plan = make_render_plan(plated, camera, pixels, tolerance_e=tolerance_e)
+    plan = replace(plan, lens="perspective", chart=None, spp=white_plate.FIRST_SPP, sampler="multijitter")
+    return WhitePlate(plated, plan, camera, distance_m)
 
 
 ENDS_LIT = 1e-3  # of its largest value: a lamp's table that ends with less ends dark

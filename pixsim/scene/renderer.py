@@ -23,11 +23,12 @@ from pixsim.base.notes import warn
 from pixsim.base.progress import Progress
 from pixsim.base.records import content_hash
 from pixsim.base.version import VERSION
-from pixsim.light.spectral import RINGS, VISIBLE, WHITE_RADIANCE, WHOLE, Span, SpectralImage
+from pixsim.light.spectral import DIFFUSER, DIFFUSER_W, RINGS, VISIBLE, WHITE_RADIANCE, WHOLE, Span, SpectralImage, Spectrum
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import LENS_HEADER, distortion_of, rendered_camera
 from pixsim.optics.camera_light import camera_factor
 from pixsim.optics.thin_lens import irradiance_factor
+from pixsim.scene import white_plate
 from pixsim.scene.bands import Fit, Pulse
 from pixsim.scene.contents import named_files
 from pixsim.scene.guard.tracer import Tracer, tracer_of
@@ -36,6 +37,7 @@ from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.rules import SAMPLE_COUNTS, irregular_tables
 from pixsim.scene.scene import Scene, check_resolution, hash_of_tree, is_packaged, sensor_node
 from pixsim.scene.tree import Tree, parse_tree
+from pixsim.scene.white_plate import WhitePlate, dark_plate
 
 
 def film(responses: list[dict[str, Any]], size: tuple[int, int], top: int, bottom: int) -> dict[str, Any]:
@@ -153,6 +155,7 @@ def render(
     *,
     full: bool = False,
     plan: Plan | None = None,
+    diffuser: bool = False,
     progress: Progress | None = None,
 ) -> SpectralImage:
     """Render the spectral irradiance on the sensor plane before diffraction, W m⁻² nm⁻¹, mean over each sample and band.
@@ -166,6 +169,7 @@ def render(
     seed : of the sampler; equal seeds give bit-identical results, but for the rounding of float32 sums on a graphics card
     full : leave nothing out (every band, the scene's integrator, a sampled lens)
     plan : from `make_plan`; None makes the default plan
+    diffuser : also render what a white plate at the object's distance shows, for `Display(white="diffuser")`
     progress : called with the fraction done
 
     Raises PixsimError if Mitsuba cannot render the scene, or if the picture is black or not finite.
@@ -178,6 +182,11 @@ def render(
     1.0
     """
     camera = camera or scene.camera()
+    if diffuser:
+        scene = replace(scene, diffuser=True)
+        if plan is not None and plan.plate is None and not plan.of_chart:
+            got = "a plan that was made without it"
+            raise invalid("diffuser", got, "no plan", "Leave `plan` out, or `diffuser`.")
     job = Renderer(scene, camera, plan or make_render_plan(scene, camera, full=full), seed)
     return job.image(*job.run(0, progress))
 
@@ -368,7 +377,7 @@ class Renderer:
         if not any(self._lit(picture) for picture in pictures):
             hint = "Check that the chart faces the camera and is lit, and that hide_emitters is off: area lights are one-sided."
             raise invalid("rendered picture", "a black picture", "some light", hint)
-        header = provenance(self.source, self.camera, self.plan, self.seed, spp) | {"film": list(self.size)} | more
+        header = provenance(self.source, self.camera, self.plan, self.seed, spp) | {"film": list(self.size)} | self.diffuser | more
         if self.plan.factored:
             planes = [picture[:, :, pulse] for picture in pictures for pulse in range(picture.shape[2])]
             stored: NDArray[np.float32] = zeros((len(planes), *self.field), np.float32)
@@ -390,6 +399,22 @@ class Renderer:
                 release(data[rows, :, band])
             release(*(picture[rows] for picture in pictures))
         return self._image(header, data=data, margin=self.margin)
+
+    @cached_property
+    def diffuser(self) -> dict[str, Any]:
+        """The entry of a header on a white plate at the object's distance, or on texel value 1 of an emissive chart, if asked for.
+
+        Raises PixsimError if no light reaches the plate.
+        """
+        plan, plate = self.plan, self.plan.plate
+        if plan.of_chart:
+            white = {"luminance_cd_per_m2": plan.white_cd_per_m2, WHITE_RADIANCE: plan.white_w_per_m2_sr}
+            return {DIFFUSER: {name: float(f"{value:.9g}") for name, value in white.items() if value}}
+        if plate is None:
+            return {}
+        spectrum = plate_spectrum(plate, keep=self.cache is not None, ends_at_s=self.ends_at_s)
+        per_nm = spectrum.cell_means(plan.bands.edges_nm)
+        return {DIFFUSER: {"distance_m": float(f"{plate.distance_m:.6g}"), DIFFUSER_W: [float(f"{each:.9g}") for each in per_nm]}}
 
     def _lit(self, picture: Picture) -> bool:
         """Return whether there is light in a picture (H, W, pulses)."""
@@ -468,3 +493,28 @@ def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) ->
     elif plan.white_w_per_m2_sr:
         header[WHITE_RADIANCE] = float(f"{plan.white_w_per_m2_sr:.9g}")
     return header
+
+
+def plate_spectrum(plate: WhitePlate, *, keep: bool = False, ends_at_s: float | None = None) -> Spectrum:
+    """Return the radiance of a white plate in a scene, W m⁻² sr⁻¹ nm⁻¹, constant within each band of its plan.
+
+    Samples are added until the standard error over the cells of its picture is at most a thousandth of it.
+
+    keep, ends_at_s : as of `Renderer`
+
+    Raises PixsimError if no light reaches it.
+    """
+    job = Renderer(plate.scene, plate.camera, plate.plan, white_plate.SEED, keep=keep, ends_at_s=ends_at_s)
+    job.job = replace(job.job, lens=plate.lens)
+    bands, per_nm = plate.plan.bands, np.zeros(0)
+    for level in range(white_plate.LEVELS):
+        pictures, _ = job.run(0, level=level)
+        parts = [picture.astype(float) @ light.fit.spectra for light, picture in zip(plate.plan.lights, pictures, strict=True)]
+        cells = np.sum(parts, axis=0).reshape(-1, bands.width_nm.size)
+        per_nm, power = cells.mean(axis=0), cells @ bands.width_nm
+        if power.std(ddof=1) / math.sqrt(power.size) <= white_plate.NOISE * power.mean():
+            break
+    if not per_nm @ bands.width_nm > 0:
+        raise dark_plate(plate.distance_m)
+    edges = bands.edges_nm
+    return Spectrum(np.repeat(edges, 2)[1:-1], np.repeat(np.maximum(per_nm, 0.0), 2))

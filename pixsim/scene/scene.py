@@ -65,6 +65,8 @@ class Scene:
     beyond_tables : what a surface is where its spectrum ends within the range that is computed: "hold" its last value, or
         "zero"; None: nobody says
     strength : factor on all lamps that the parameter `lux` asks for
+    diffuser : whether a render also says what a white plate at the object's distance would show, for `display.white`
+    plate : transform of a white plate in the scene, 16 numbers, row by row
     own_chart : a picture that takes the place of the parameter `chart`, which names it
     resolution : film samples across the die, in place of the film's width in the XML
     _texts : its inspected texts so far, by their parameters
@@ -83,6 +85,8 @@ class Scene:
     shows_target: bool = False
     strength: float | None = None
     beyond_tables: Beyond | None = None
+    diffuser: bool = False
+    plate: tuple[float, ...] | None = None
     _texts: dict[str, SceneText] = field(default_factory=dict, repr=False, compare=False)
 
     @checks_arguments
@@ -95,9 +99,9 @@ class Scene:
             given.pop(ILLUMINANCE, None)
         if self.own_chart:
             given[CHART] = str(more.get(CHART) or self.own_chart.texture(1.0))
-        key = _key_of_text(given, self.strength)
+        key = _key_of_text(given, self.strength, self.plate)
         if key not in self._texts:  # a render asks ten times
-            self._texts[key] = open_scene(self.path, given, strength=self.strength)
+            self._texts[key] = open_scene(self.path, given, strength=self.strength, plate=self.plate)
         return self._texts[key]
 
     @checks_arguments
@@ -229,8 +233,8 @@ class Scene:
         return f"<Scene {self.path.name}{given}, {self.choice.variant}>"
 
 
-def _key_of_text(given: dict[str, str], strength: float | None) -> str:
-    return repr((sorted(given.items()), strength))
+def _key_of_text(given: dict[str, str], strength: float | None = None, plate: tuple[float, ...] | None = None) -> str:
+    return repr((sorted(given.items()), strength, plate))
 
 
 def chart_parameters(camera: Camera) -> dict[str, float]:
@@ -346,7 +350,7 @@ def load_scene(
     choice = variants.choose(variant)
     shown_white = None if display_white is None else _positive(WHITE, display_white)
     # The text is that of the resolved file, unless a link's folder has the files that it names.
-    texts = {_key_of_text(given, None): text} if picture is None and path == path.resolve() else {}
+    texts = {_key_of_text(given): text} if picture is None and path == path.resolve() else {}
     loaded = Scene(path.resolve(), given, names, sensor, choice, shown_white, shows_csf=own_chart == "csf.exr", _texts=texts)
     loaded = _with_target(loaded) if own_chart == TARGET_FILE else loaded
     loaded = replace(_with_own_chart(loaded, text, picture, linear), beyond_tables=beyond)

@@ -31,8 +31,7 @@ from pixsim.sensor.colour import Layout, of_channels
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.crosstalk import share_with_neighbours, share_with_neighbours_of_channels, shares_sum
 from pixsim.sensor.diffusion import absorption_per_um, diffused_shares, spread_shares
-from pixsim.sensor.pixel import USUAL_F_NUMBER, PixelPhysics
-from pixsim.sensor.stack_options import StackOptions
+from pixsim.sensor.pixel import USUAL_F_NUMBER, Charge, PixelPhysics
 
 # Wavelengths at which shares are computed, with a polynomial through them: 6e-5 of a share from 400 to 1000 nm. The absorption of
 # silicon, by a factor of 100 over that range, needs more: then .001.
@@ -262,14 +261,14 @@ def warn_of_stack_limits(physics: PixelPhysics, camera: Camera, wavelength_nm: P
 
 @lru_cache(maxsize=32)
 def _collection(
-    stack: Stack, charge: StackOptions | None, measured: Measurement | None, light: Illumination, half_um: tuple[float, float]
+    stack: Stack, charge: Charge | None, measured: Measurement | None, light: Illumination, half_um: tuple[float, float]
 ) -> Collection:
     """Return the collection of an array with a stack, the same object for the same arguments.
 
     measured : how the quantum efficiency was, on a whole pixel; None: on the photodiode
     half_um : from the axis to the centres of the outermost pixels, down and across
     """
-    diffused = charge is not None and charge.diffusion_length_um is not None
+    diffused = charge is not None and charge.diffusion_um is not None
     nm, weight = light.nodes(WAVELENGTHS_DIFFUSED if diffused else WAVELENGTHS)
     if measured is not None:
         weight = weight / _measured_share(measured, charge, nm)
@@ -306,7 +305,7 @@ def _places(stack: Stack, pupil: CameraPupil, half_um: tuple[float, float]) -> t
 
 @lru_cache(maxsize=256)
 def _scale_error(
-    stack: Stack, charge: StackOptions | None, pupil: CameraPupil, wavelength_nm: tuple[float, ...], half_um: tuple[float, float]
+    stack: Stack, charge: Charge | None, pupil: CameraPupil, wavelength_nm: tuple[float, ...], half_um: tuple[float, float]
 ) -> float:
     """Return the largest of `scale_error` over wavelengths and places."""
     _, _, y_um, x_um = _places(stack, pupil, half_um)
@@ -333,7 +332,7 @@ def _polynomial(nodes: Array, at: Array) -> Array:
 
 
 def _shares_at(
-    stack: Stack, charge: StackOptions | None, pupil: CameraPupil, y_um: Array, x_um: Array, nm: Array, weight: Array
+    stack: Stack, charge: Charge | None, pupil: CameraPupil, y_um: Array, x_um: Array, nm: Array, weight: Array
 ) -> Array:
     """Return the weighted sum over wavelengths (K,) of the shares at places on the sensor (...), (..., 5, 5)."""
     rings, spokes = RINGS, SPOKES
@@ -352,7 +351,7 @@ def _shares_at(
     return optical if spread is None else spread_shares(optical, spread)
 
 
-def _measured_share(measured: Measurement, charge: StackOptions | None, nm: Array) -> Array:
+def _measured_share(measured: Measurement, charge: Charge | None, nm: Array) -> Array:
     """Return the sum of the shares on axis of a whole pixel under a microlens, in the light of its measurement, (K,).
 
     Even light, as EMVA 1288 has it, brings a pixel what its neighbours lose to it.
@@ -361,24 +360,24 @@ def _measured_share(measured: Measurement, charge: StackOptions | None, nm: Arra
 
 
 @lru_cache(maxsize=256)
-def _measured_share_at(measured: Measurement, charge: StackOptions | None, wavelength_nm: tuple[float, ...]) -> Array:
+def _measured_share_at(measured: Measurement, charge: Charge | None, wavelength_nm: tuple[float, ...]) -> Array:
     lens, f_number = measured
     nm, sine = np.array(wavelength_nm), numerical_aperture(f_number)
     optical, spread = collected_shares(lens, disc_pupil(sine), nm), _spread(lens, charge, sine, nm)
     return np.asarray((optical if spread is None else spread_shares(optical, spread)).sum(axis=(-2, -1)))
 
 
-def _spread(stack: Stack, charge: StackOptions | None, sine: float, nm: Array) -> Array | None:
+def _spread(stack: Stack, charge: Charge | None, sine: float, nm: Array) -> Array | None:
     """Return the shares of the charge of one photodiode under a microlens that pixels around collect, (K, 5, 5) or (5, 5)."""
     if charge is None:
         return None
     if charge.crosstalk:
         return _neighbours(charge.crosstalk)
-    if charge.depletion_um is None or charge.diffusion_length_um is None:
+    if charge.diffusion_um is None:
         return None
     # A square with the variance of the lens's spot of light.
     side_um = min(stack.photodiode_side_um, math.sqrt(3) * stack.height_um * sine / stack.index)
-    return diffused_shares(stack.pitch_um, side_um, absorption_per_um(nm), charge.depletion_um, charge.diffusion_length_um)
+    return diffused_shares(stack.pitch_um, side_um, absorption_per_um(nm, charge.silicon_k), *charge.diffusion_um)
 
 
 def _neighbours(crosstalk: float) -> Array:

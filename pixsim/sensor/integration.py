@@ -513,10 +513,10 @@ def diffusion_of(physics: PixelPhysics) -> Callable[[Array, float], Array] | Non
     Under a microlens light arrives near the middle of a photodiode, and diffusion is among the shares of the neighbours.
     """
     stack, charge = physics.stack, physics.charge
-    if stack is None or stack.microlens or charge is None or charge.depletion_um is None or charge.diffusion_length_um is None:
+    if stack is None or stack.microlens or charge is None or charge.diffusion_um is None:
         return None
-    depletion_um, length_um = charge.depletion_um, charge.diffusion_length_um
-    return lambda frequency, nm: diffusion_mtf(frequency, absorption_per_um(nm), depletion_um, length_um)
+    lengths_um, silicon_k = charge.diffusion_um, charge.silicon_k
+    return lambda frequency, nm: diffusion_mtf(frequency, absorption_per_um(nm, silicon_k), *lengths_um)
 
 
 def ideal_rate(irradiance: SpectralImage, physics: PixelPhysics) -> Array:

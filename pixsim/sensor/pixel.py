@@ -19,7 +19,7 @@ from pixsim.base.arguments import Count, NotNegative, Positive, Whole, check_bro
 from pixsim.base.arrays import Array, PositiveArray, Positives
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import warn
-from pixsim.base.records import UnitInterval
+from pixsim.base.records import UnitInterval, content_hash
 from pixsim.light.curves import EfficiencyCurve
 from pixsim.light.quantities import MIN_FRACTION
 from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, PLANCK_J_S
@@ -27,6 +27,7 @@ from pixsim.optics.stack import LOWEST_LENS, Stack
 from pixsim.sensor.camera_data import has_common_scale
 from pixsim.sensor.colour import Layout, channel_efficiency
 from pixsim.sensor.colour_options import BIN, channels_of, efficiencies_of
+from pixsim.sensor.diffusion import SILICON_K
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.mismatch import (
     E_PER_FC,
@@ -371,6 +372,41 @@ def spread_registration(repeat: int) -> tuple[float, float]:
     return x / (1 << SOBOL_BITS), y / (1 << SOBOL_BITS)
 
 
+@dataclass(frozen=True)
+class Charge:
+    """How charge spreads in the silicon of a pixel with a stack.
+
+    stack : as the pixel or its technology states it
+    temperature_k : of the pixel
+    """
+
+    stack: StackOptions
+    temperature_k: float = REFERENCE_TEMPERATURE_K
+
+    @property
+    def crosstalk(self) -> float | None:
+        """Share of a pixel's charge that its four neighbours collect together, in place of diffusion."""
+        return self.stack.crosstalk
+
+    @property
+    def diffusion_um(self) -> tuple[float, float] | None:
+        """The depletion depth and the diffusion length; None where no charge diffuses."""
+        depletion_um, length_um = self.stack.depletion_um, self.stack.diffusion_length_um
+        return None if depletion_um is None or length_um is None else (depletion_um, length_um)
+
+    @property
+    def silicon_k(self) -> float:
+        """Temperature for the table of absorption, whose 300 K stand for 27 °C, the temperature of a pixel that states none."""
+        return SILICON_K * (self.temperature_k / REFERENCE_TEMPERATURE_K)
+
+    @property
+    def content_hash(self) -> str:
+        """Hash of what acts; the temperature does so on what diffuses."""
+        own = self.stack.content_hash
+        warm = self.diffusion_um is not None and self.temperature_k != REFERENCE_TEMPERATURE_K
+        return content_hash([own, self.temperature_k]) if warm else own
+
+
 @checks_fields
 @dataclass(frozen=True)
 class PixelPhysics:
@@ -400,7 +436,7 @@ class PixelPhysics:
     channel : letter of the channel whose quantum efficiency this is; empty: of the whole pixel, of a colour sensor the mean
     bin_side : pixels along a side of those that are read as one
     stack : between the surface and the photodiode; None: a pixel collects the light on its photodiode, from every direction alike
-    charge : how charge spreads in that stack's silicon (`depletion_um`, `diffusion_length_um`, `crosstalk`)
+    charge : how charge spreads in that stack's silicon (`depletion_um`, `diffusion_length_um`, `crosstalk`), and its temperature
     silent : names of noise sources that are switched off
     """
 
@@ -426,7 +462,7 @@ class PixelPhysics:
     gain_db: GainDb = 0.0
     exposures: Count = 1
     stack: Stack | None = None
-    charge: StackOptions | None = None
+    charge: Charge | None = None
     channel: str = ""
     bin_side: int = 1
     silent: tuple[str, ...] = ()
@@ -620,7 +656,7 @@ class PixelPhysics:
                 allowed = f"above {smallest_pitch_um(self.technology):.4g} µm, the smallest pixel of {self.technology.name}"
                 raise invalid("quantum_efficiency_pitch_um", f"{pitch_um:g}", allowed)
             side_um = math.sqrt(fill_factor) * pitch_um
-        stated_um = self.charge.height_um if self.charge else None  # a wide microlens lies higher
+        stated_um = self.charge.stack.height_um if self.charge else None  # a wide microlens lies higher
         height_um = max(stated_um or self.stack.height_um, LOWEST_LENS * pitch_um)
         return Stack(pitch_um, side_um, height_um, self.stack.index, refraction=self.stack.refraction)
 
@@ -1081,7 +1117,7 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         hot_pixel_median=hot_median,
         hot_pixel_spread=hot_spread,
         stack=None if charge is None else stack_of(charge, pixel, math.sqrt(area_um2)),
-        charge=charge,
+        charge=None if charge is None else Charge(charge, pixel.temperature_k),
     )
 
 

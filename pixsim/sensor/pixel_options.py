@@ -264,7 +264,8 @@ class PixelOptions(Record):
         0.0, description="offset added before the ADC; `pixsim datasheet` uses at least 6 standard deviations of the dark signal"
     )
     temperature_k: Annotated[float, Field(ge=77, le=400)] = Field(
-        300.15, description="temperature of the sensor, which sets dark current and reset noise"
+        300.15,
+        description="temperature of the sensor, which sets dark current, reset noise, and the absorption where charge diffuses",
     )
     dynamic_range_db: Annotated[Annotated[float, Field(ge=0, le=400)] | None, Number(71.0, is_certain=True)] = Field(
         None, description="dynamic range of the data sheet: only a check, with a warning if the other numbers give another"

@@ -23,7 +23,7 @@ from pixsim.base.layers import listed, plain_tables
 from pixsim.base.notes import collected_notes, warn
 from pixsim.base.progress import Progress, Stage, no_stage
 from pixsim.scene.plan import Plan
-from pixsim.sensor.collection import warn_of_stack_limits
+from pixsim.sensor.infrared import warn_of_light
 from pixsim.sensor.pixel import derive, implausible_numbers, sheet_disagreements
 from pixsim.sensor.pixel_options import REGISTERED_BORDER
 from pixsim.studies.averages import Averaged, Compared, Observed
@@ -294,7 +294,7 @@ def series_of_sensor(lineup: Lineup, sensor: Case[Run], light: Light, repeats: i
         prepared = series.light()
         assert isinstance(prepared, PreparedScene)
         warn_of_clipping(prepared.beyond_white)
-        warn_of_stack_limits(imaging.physics, sensor.camera, light.image.wavelength_nm)
+        warn_of_light(imaging.physics, sensor.camera, light.image)
         return series
 
 

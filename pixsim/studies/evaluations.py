@@ -22,7 +22,7 @@ from pixsim.base import cache
 from pixsim.base.errors import PixsimError
 from pixsim.base.progress import Progress
 from pixsim.base.records import content_hash
-from pixsim.sensor.collection import warn_of_stack_limits
+from pixsim.sensor.infrared import warn_of_light
 from pixsim.sensor.integration import pixels_on
 from pixsim.sensor.readout import Frame, Sensor, lasting, make_frame
 from pixsim.studies.cost import frame_cost, jobs_in_memory
@@ -81,7 +81,7 @@ def check_ideals(series: Sequence[Series]) -> None:
 
 def warn_of_stacks(series: Series, smallest_um: float) -> None:
     """Warn of the limits of a series' stack, for its smallest pixels, which exceed them most."""
-    warn_of_stack_limits(series.imaging.at(smallest_um).physics, series.imaging.camera, series.scenes.irradiance.wavelength_nm)
+    warn_of_light(series.imaging.at(smallest_um).physics, series.imaging.camera, series.scenes.irradiance)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.show.sentences import span
 from pixsim.viewer.display import white_light
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.score import HEADER_OF_WHITE, UNITS_OF_WHITE
+from pixsim.viewer.score import HEADER_OF_WHITE, UNITS_OF_WHITE, WHITE_FROM
 
 
 class LightLevel(NamedTuple):
@@ -37,7 +37,8 @@ class LightLevel(NamedTuple):
             white, source = getattr(display, name), f"display.{name}"
         else:
             white = header[HEADER_OF_WHITE[name]]
-            source = f"{header['white_from']}, in the sensor's response" if "white_from" in header else "the scene"
+            source = header.get("white_from", "the scene")
+            source += ", in the sensor's response" if source == WHITE_FROM else ""
         return cls(
             float(white), UNITS_OF_WHITE[name], source, white_light(irradiance)[1], float(times_s.min()), float(times_s.max())
         )

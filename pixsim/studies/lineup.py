@@ -419,7 +419,7 @@ def lineup_of(stated: Stated, common: Lineup | None, match: Match, sensor: str |
         raise invalid("display.raster", got, "'fixed_size': one display for all sensors")
     if is_picture(scene):
         raise invalid("--scene", f"'{scene}', a picture", "a Mitsuba scene, which each sensor sees through its own lens")
-    loaded = loaded_scene(scene, settings.scene, settings.resolution, variant=variant, sensor=sensor)
+    loaded = loaded_scene(scene, settings.scene, settings.resolution, settings.display, variant=variant, sensor=sensor)
     for each in stated.sensors:
         with named(each.name):
             check_metrics(settings, [each.settings.pixel], loaded)

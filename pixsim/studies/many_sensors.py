@@ -14,9 +14,9 @@ from pixsim.base.errors import invalid, name_fault
 from pixsim.base.notes import collected_notes, warn
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
-from pixsim.sensor.collection import warn_of_stack_limits
 from pixsim.sensor.correction_options import NO_CORRECTION, Correction
 from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.infrared import warn_of_light
 from pixsim.sensor.integration import array_size_um
 from pixsim.sensor.motion_options import STILL, Motion
 from pixsim.sensor.pixel import implausible_numbers, sheet_disagreements
@@ -171,7 +171,7 @@ def sweep(
             each[name] = imaging
             for text in (*sheet_disagreements(pixel), *implausible_numbers(pixel)):
                 warn(f"pixel {name}: {text}")
-            warn_of_stack_limits(imaging.physics, camera, light.wavelength_nm)
+            warn_of_light(imaging.physics, camera, light)
         own = exposure, correction, develop, display, camera, camera.lens_options
         names = tuple(one.name for one in judging.metrics)
         given = [

@@ -299,15 +299,18 @@ def loaded_scene(
     file: str,
     parameters: Mapping[str, float | int | str],
     resolution: int | None,
+    display: Display,
     *,
     variant: str | None = None,
     sensor: str | None = None,
 ) -> Scene:
     """Return a scene with its parameters, on a film of `resolution` samples across if that is set.
 
+    display : says whether light of the scene has to say what a white plate in it shows
+
     Raises PixsimError as `pixsim.load_scene`.
     """
-    scene = load_scene(file, variant=variant, sensor=sensor, **parameters)
+    scene = replace(load_scene(file, variant=variant, sensor=sensor, **parameters), diffuser=display.white == "diffuser")
     return scene.with_resolution(resolution) if resolution else scene
 
 
@@ -342,9 +345,9 @@ def scene_for(study: Study, variant: str | None = None, known: dict[str, Scene] 
         hint = f"In Python: pixsim.study(…, light=pixsim.read_irradiance('{study.scene.file}'))."
         raise invalid("scene.file", f"'{study.scene.file}', a picture", "a Mitsuba scene", hint)
     known = {} if known is None else known
-    key = content_hash([study.scene.model_dump(mode="json"), study.resolution])
+    key = content_hash([study.scene.model_dump(mode="json"), study.resolution, study.display.white])
     if key not in known:
-        known[key] = loaded_scene(study.scene.file, study.scene.parameters, study.resolution, variant=variant)
+        known[key] = loaded_scene(study.scene.file, study.scene.parameters, study.resolution, study.display, variant=variant)
     scene = known[key]
     return scene, scene.camera(study.camera, study.lens).window(study.window_mm)
 

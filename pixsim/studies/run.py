@@ -172,7 +172,7 @@ def prepare(
         if units:
             allowed = "a picture (.exr, .npz, .hdr); the units of a render are known"
             raise invalid(setting("units"), f"'{source}', a scene", allowed)
-        scene = loaded_scene(source, settings.scene, settings.resolution, variant=variant, sensor=sensor)
+        scene = loaded_scene(source, settings.scene, settings.resolution, settings.display, variant=variant, sensor=sensor)
         whole = scene.camera(settings.camera, settings.lens)
     known = scene or picture
     assert known is not None

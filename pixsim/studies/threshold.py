@@ -100,7 +100,14 @@ def threshold_of(job: Job[Run], demand: Demand, light: Light, d_prime: float, pr
     judging = Judging(metrics_named([DETECTABILITY.name]), settings.metric)
     of_sensor = settings.pixel, settings.exposure, settings.display, False, settings.correction, settings.develop
     across = light.image.shape[1]
-    load = partial(loaded_scene, str(case.scene.path), resolution=None, variant=case.scene.choice.variant, sensor=job.sensor)
+    load = partial(
+        loaded_scene,
+        str(case.scene.path),
+        resolution=None,
+        display=settings.display,
+        variant=case.scene.choice.variant,
+        sensor=job.sensor,
+    )
 
     at: dict[float, float] = {}  # logarithm of d′ over the threshold, by that of the value over the first one
 

@@ -176,7 +176,7 @@ def survey(
     warn_of_unused_settings({"": [replace(given, own_rules=RULES_OF_SURVEYS)]})
     progress("parse and render")
     start = time.perf_counter()
-    scene = loaded_scene(source, settings.scene, settings.resolution, variant=variant, sensor=sensor)
+    scene = loaded_scene(source, settings.scene, settings.resolution, settings.display, variant=variant, sensor=sensor)
     camera = scene.camera(settings.camera, settings.lens)
     plan = make_plan(scene, camera, settings.pixel, exposure=settings.exposure, tolerance_e=settings.tolerance_e)
     if plan.resolution:

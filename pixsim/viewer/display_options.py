@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
+from pixsim.base.caller import setting
 from pixsim.base.problems import Words
 from pixsim.base.records import Record
 from pixsim.optics.camera import SIZES
@@ -13,6 +15,11 @@ from pixsim.optics.camera import SIZES
 Luminance = Annotated[float, Field(ge=1e-12, le=1e15)]  # the disc of the sun: 1.6e9
 
 Radiance = Annotated[float, Field(ge=1e-15, le=1e12)]
+
+
+def _hint_of_white(path: Sequence[str], value: object) -> str:
+    """Return where a number is stated that was given for `Display.white`."""
+    return f"A luminance of the scene is {setting('display.white_cd_per_m2')}, a radiance {setting('display.white_w_per_m2_sr')}."
 
 
 class Display(Record):
@@ -40,6 +47,14 @@ class Display(Record):
         description="scene radiance shown as display white, of light that nobody sees, such as infrared (absent: white of the "
         "scene's emissive chart)",
     )
+    white: Annotated[Literal["diffuser"] | None, Words(hint=_hint_of_white)] = Field(
+        None,
+        description="'diffuser': display white is a white plate at the object's distance that faces the lens, in the light of the "
+        "scene; of an emissive chart texel value 1 (absent: a luminance or radiance, as above, or what the scene states)",
+    )
+    diffuser_reflectance: Annotated[float, Field(gt=0, le=1)] = Field(
+        1.0, description="reflectance of the white plate of display.white = 'diffuser'; 1 is the perfect diffuser"
+    )
     shading_correction: bool = Field(
         True,
         description="divide by the mean collection of the pixels' stack over the field, relative to that on axis, unless flat "
@@ -55,7 +70,16 @@ class Display(Record):
     )
 
     @model_serializer(mode="wrap")
-    def _without_radiance(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """A display whose white is a luminance is written, and hashed, as if there were no radiance."""
+    def _without_absent_white(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """A display whose white is a luminance is written, and hashed, as if there were no other whites."""
         table: dict[str, Any] = handler(self)
-        return {name: value for name, value in table.items() if name != "white_w_per_m2_sr" or value is not None}
+        absent = [name for name in ("white_w_per_m2_sr", "white") if table.get(name) is None]
+        absent += ["diffuser_reflectance"] if "white" in absent and table.get("diffuser_reflectance") == 1.0 else []
+        return {name: value for name, value in table.items() if name not in absent}
+
+    @model_validator(mode="after")
+    def _one_white(self) -> Self:
+        stated = [name for name in ("white_cd_per_m2", "white_w_per_m2_sr") if getattr(self, name) is not None]
+        if self.white is not None and stated:
+            raise ValueError(f"got white = '{self.white}' and {' and '.join(stated)}; allowed: one of them. Leave the others out")
+        return self

@@ -19,21 +19,15 @@ from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import warn
 from pixsim.base.records import Record, content_hash
-from pixsim.light.spectral import WHITE_RADIANCE, SpectralImage, without_outliers
+from pixsim.light.spectral import DIFFUSER, DIFFUSER_W, LEAST_LM_PER_W, WHITE_RADIANCE, SpectralImage, without_outliers
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import ideal_light
-from pixsim.sensor.collection import (
-    Collection,
-    ColourCollection,
-    collected_area_um2,
-    collections_of,
-    shading_of,
-    warn_of_stack_limits,
-)
+from pixsim.sensor.collection import Collection, ColourCollection, collected_area_um2, collections_of, shading_of
 from pixsim.sensor.colour import Layout, of_channels
 from pixsim.sensor.correction import correct
 from pixsim.sensor.correction_options import NO_CORRECTION, Correction
 from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.infrared import warn_of_light
 from pixsim.sensor.integration import (
     ChannelLight,
     array_signal,
@@ -788,10 +782,13 @@ def white_header(seen: Sequence[SeenPicture], display: Display) -> dict[str, Any
     dots that are scored, rounded up to two digits, with a warning. Of several pixels, which see different parts of the spectrum,
     the largest counts: so that white clips at most 1 % of the ideal image of each.
 
-    Of light without luminance it is a radiance.
+    Of light without luminance it is a radiance. `display.white = "diffuser"` takes that of a white plate, or of texel value 1 of
+    an emissive chart, as the light says it, in place of any other.
 
-    Raises PixsimError if an ideal image is black up to that percentile.
+    Raises PixsimError if an ideal image is black up to that percentile, or if the light does not say what a white plate shows.
     """
+    if display.white is not None:
+        return _white_of_diffuser(seen[0].irradiance, display)
     name = seen[0].white_field
     if display.white_cd_per_m2 or display.white_w_per_m2_sr or HEADER_OF_WHITE[name] in seen[0].irradiance.header:
         return {}
@@ -809,6 +806,23 @@ def white_header(seen: Sequence[SeenPicture], display: Display) -> dict[str, Any
     return {HEADER_OF_WHITE[name]: white, "white_from": WHITE_FROM}
 
 
+def _white_of_diffuser(image: SpectralImage, display: Display) -> dict[str, Any]:
+    """Return header entries with the white of a plate. Raises PixsimError if the light does not say what it shows."""
+    stated = image.header.get(DIFFUSER)
+    if stated is None:
+        got = "'diffuser', in light that does not say what a white plate in it shows"
+        hint = f"State the white: {setting('display.white_cd_per_m2')} or {setting('display.white_w_per_m2_sr')}. "
+        hint += "In Python, pixsim.render(…, diffuser=True) makes light that says it."
+        raise invalid("display.white", got, "light of a scene that was rendered for it", hint)
+    if DIFFUSER_W not in stated:
+        return {**stated, "white_from": "texel value 1 of the chart"}
+    per_nm = display.diffuser_reflectance * np.array(stated[DIFFUSER_W])
+    cd_per_m2, w_per_m2_sr = (float(weights @ per_nm) for weights in (image.luminous_weight(), image.band_width_nm))
+    name, white = ("white_cd_per_m2", cd_per_m2) if cd_per_m2 > LEAST_LM_PER_W * w_per_m2_sr else ("white_w_per_m2_sr", w_per_m2_sr)
+    source = f"a white plate of reflectance {display.diffuser_reflectance:g}, {stated['distance_m']:.4g} m before the lens"
+    return {HEADER_OF_WHITE[name]: float(f"{white:.9g}"), "white_from": source}
+
+
 # Of fields of a display: their units, and their entries in a header. A radiance is there where a luminance says nothing.
 UNITS_OF_WHITE = {"white_w_per_m2_sr": "W m⁻² sr⁻¹", "white_cd_per_m2": "cd/m²"}
 HEADER_OF_WHITE = {"white_w_per_m2_sr": WHITE_RADIANCE, "white_cd_per_m2": "luminance_cd_per_m2"}
@@ -817,7 +831,7 @@ HEADER_OF_WHITE = {"white_w_per_m2_sr": WHITE_RADIANCE, "white_cd_per_m2": "lumi
 def with_white(display: Display, white: Mapping[str, Any]) -> Display:
     """Return a display with the white of a `white_header`; as it is for an empty one."""
     found = {name: white[entry] for name, entry in HEADER_OF_WHITE.items() if entry in white}
-    return display.model_copy(update=found) if found else display
+    return display.model_copy(update={**found, "white": None}) if found else display
 
 
 def rounded_up(value: float, digits: int) -> float:
@@ -1184,7 +1198,7 @@ def make_imaging_chain(
     physics = derive(pixel)
     warn_of_disagreements(pixel)
     warn_of_implausible_numbers(pixel)
-    warn_of_stack_limits(physics, camera, irradiance.wavelength_nm)
+    warn_of_light(physics, camera, irradiance)
     border_um = scored_border_um(physics, motion, exposure, camera)
     display = with_white(display, white_header([SeenPicture(irradiance, camera, physics, border_um)], display))
     judging.check(MetricContext(physics.layout is not None, without is not None))

@@ -183,7 +183,8 @@ def of_doubling(c: Configuration) -> str:
 
 def of_temperature(c: Configuration) -> str:
     turns_forward = c.physics.diode is not None and c.pixel.well_limit == "diode"
-    if c.physics.reset_noise_e or turns_forward:
+    diffuses = c.physics.charge is not None and c.physics.charge.diffusion_um is not None
+    if c.physics.reset_noise_e or turns_forward or diffuses:
         return ""
     if c.physics.dark_current_e_per_s and c.pixel.dark_current_e_per_s is not None:
         return "pixel.dark_current_e_per_s holds at every temperature; pixel.dark_current = { e_per_s, at_c } follows it"
@@ -375,6 +376,7 @@ RULES = (
     Rule(
         ("display.white_cd_per_m2",), lambda c: "display.white_w_per_m2_sr states the white" if c.display.white_w_per_m2_sr else ""
     ),
+    Rule(("display.diffuser_reflectance",), lambda c: "" if c.display.white else "display.white is not 'diffuser'"),
     Rule(
         ("display.dots", "display.interpolation"),
         lambda c: "with display.raster = 'one_to_one' dots are pixels" if c.display.raster == "one_to_one" else "",

@@ -30,6 +30,7 @@ WRONG: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     ({"file": "phone", "ideal": "straight"}, {}, "ideal"),
     ({"file": "phone", "focal_length_mm": -3.0}, {}, "focal_length_mm"),
     ({"refocus": "field"}, {}, "refocus without file"),
+    ({"file": "phone", "focus_nm": 850.0}, {}, "lens.focus_nm: wavelength_nm: got 850; allowed: 400 to 750, where the glass"),
     ({"file": "singlet", "focal_length_mm": 2000.0}, {}, "whose image is"),
 ]
 MIRROR = """VERS 1

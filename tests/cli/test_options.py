@@ -208,7 +208,7 @@ def test_with_each_format_leaves_other_words() -> None:
         ("run csf --pixel.pitch-um 5600nm", "allowed: a valid number. Write 5.6, which is in µm."),
         ("run csf --pixel.pitch-um 5.6e-6", "It is in µm, and 5.6e-06 m are 5.6: write 5.6."),
         ("run csf --pixel.prnu 0.5", "0.5 % is 0.005, or prnu_percent = 0.5."),
-        ("run csf --display.white 200", "Did you mean --display.white-cd-per-m2 or "),
+        ("run csf --display.white 200", "A luminance of the scene is --display.white-cd-per-m2, a radiance "),
         ("study pixel-size --pitch.values-um 2.4 3.45", "and a list of them as 2.4,3.45 without blanks."),
         ("study pixel-size --scene star.png", "A picture is the chart of a scene: csf with -D chart=star.png."),
         ("run csf --camera.pixels 640", "camera.pixels: got '640'; allowed: columns and rows, as 1936x1216."),

@@ -36,11 +36,13 @@ def uncommented(text: str) -> dict[str, Any]:
 def stated_once(table: dict[str, Any], words: bool) -> dict[str, Any]:
     """A table whose [pixel] has either other words, the first of those for a quantity, or the fields that they stand for.
 
-    Of the fields of [develop] and [motion] that exclude each other it has the first or the last.
+    Of the fields of [develop], [motion] and [display] that exclude each other it has the first or the last.
     """
     motion = {name: value for name, value in table["motion"].items() if name not in VELOCITIES}
     velocity = VELOCITIES[-1 if words else 0]
     motion[velocity] = table["motion"][velocity]
+    others = ("white",) if words else ("white_cd_per_m2", "white_w_per_m2_sr")
+    display = {name: value for name, value in table["display"].items() if name not in others}
     develop: dict[str, Any] = {}
     for name in sorted(table["develop"], reverse=words):
         if not develop_excluded_by([name]) & develop.keys():
@@ -49,7 +51,7 @@ def stated_once(table: dict[str, Any], words: bool) -> dict[str, Any]:
     for name in sorted(table["pixel"], key=lambda name: (name in STANDS_FOR) != words):
         if not excluded_by([name]) & kept.keys():
             kept[name] = table["pixel"][name]
-    return table | {"pixel": kept, "develop": develop, "motion": motion}
+    return table | {"pixel": kept, "develop": develop, "motion": motion, "display": display}
 
 
 def dotted(table: dict[str, Any], record: type[BaseModel], path: str = "") -> set[str]:

@@ -401,6 +401,20 @@ def test_refocused_lens_has_its_least_wavefront_where_it_says(distance: float) -
     assert rms(best) < rms(lens.refocused("paraxial", distance))
 
 
+@pytest.mark.parametrize("nm", [486.1327, 850.0, 940.0])
+def test_focus_at_a_wavelength_is_that_of_the_lensmaker(nm: float) -> None:
+    """Of a plano-convex lens: R/(n - 1) - d/n behind its plane side, with n of N-BK7 there; and the least wavefront is in it."""
+    lens = lens_named("singlet")
+    convex = lens.prescription.surfaces[0]
+    n = float(convex.glass.index(nm))
+    wanted = 1 / convex.curvature_per_mm / (n - 1) - convex.thickness_mm / n
+    assert lens.refocused("paraxial", wavelength_nm=nm).prescription.surfaces[-1].thickness_mm == pytest.approx(wanted, rel=1e-9)
+    x, y = disc(15)
+    best = lens.refocused("axis", wavelength_nm=nm)
+    planes = [best._moved(shift_mm).opd_waves(0.0, nm, x, y) for shift_mm in (-0.02, 0.0, 0.02)]
+    assert np.argmin([np.std(waves) for waves in planes]) == 1
+
+
 def test_far_object_is_imaged_as_one_at_infinity() -> None:
     lens = lens_named("phone")
     far = replace(lens, object_distance_mm=1e9)

@@ -130,8 +130,8 @@ def test_archives_are_the_same_bytes_twice(shipped: dict[str, Path]):
 
 def test_citation_is_shipped_and_states_the_licences(shipped: dict[str, Path]):
     text = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-    assert re.findall(r"^license:\n((?:  - .*\n)+)", text, re.MULTILINE) == ["  - BSD-3-Clause\n  - Apache-2.0\n"]
-    assert PROJECT["license"] == "BSD-3-Clause AND Apache-2.0"
+    assert re.findall(r"^license:\n((?:  - .*\n)+)", text, re.MULTILINE) == ["  - BSD-3-Clause\n  - Apache-2.0\n  - MIT\n"]
+    assert PROJECT["license"] == "BSD-3-Clause AND Apache-2.0 AND MIT"
     with tarfile.open(shipped["sdist"]) as archive:
         assert any(name.endswith("/CITATION.cff") for name in archive.getnames())
 
@@ -141,7 +141,7 @@ def test_metadata_state_tested_systems(shipped: dict[str, Path]):
     systems = re.findall(r"^Classifier: Operating System :: (.*)$", text, re.MULTILINE)
     assert systems == ["POSIX :: Linux"]
     assert "Requires-Python: >=3.11" in text
-    assert "License-Expression: BSD-3-Clause AND Apache-2.0\n" in text
+    assert "License-Expression: BSD-3-Clause AND Apache-2.0 AND MIT\n" in text
     assert not re.search(r"^(Project-URL|Home-page|Download-URL)", text, re.MULTILINE)
 
 

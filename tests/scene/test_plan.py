@@ -27,7 +27,7 @@ PIXELS = [pixsim.Pixel(), pixsim.Pixel(technology="4t-bsi", pitch_um=2.8)]
 LAMPS = ["d65", "a", "fl11", "led_b3", "laser_532nm"]
 CASES = {name: (name, {}) for name in packaged_scenes() if name != "macbeth"}
 CASES |= {f"macbeth {lamp}": ("macbeth", {"lamp": f"spectra/{lamp}.spd"}) for lamp in LAMPS}
-SLOW = ("macbeth a", "macbeth fl11", "macbeth led_b3", "siemens_star", "still_life", "line_lamp", "cornell_box")
+SLOW = ("macbeth a", "macbeth fl11", "macbeth led_b3", "siemens_star", "still_life", "line_lamp", "cornell_box", "yard")
 TOLERANCES = (1e-2, 1e-3, 1e-4)
 ONE_PERCENT = 0.01
 
@@ -54,6 +54,7 @@ EFFORT = {
     "line_lamp": Effort((64, 16), (6, 4), 1),
     "still_life": Effort((16, 16), (8, 4), 1),
     "cornell_box": Effort((64, 16), (8, 4), 1),
+    "yard": Effort((64, 16), (6, 4), 1),
 }
 FILM = 24
 

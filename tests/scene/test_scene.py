@@ -23,7 +23,7 @@ from pixsim.scene.mitsuba import import_mitsuba
 from pixsim.scene.packaged import packaged_scenes
 
 CHARTS = ["csf", "flat", "siemens_star", "slanted_edge"]
-SHIPPED = sorted([*CHARTS, "cornell_box", "line_lamp", "macbeth", "still_life", "target"])
+SHIPPED = sorted([*CHARTS, "cornell_box", "line_lamp", "macbeth", "still_life", "target", "yard"])
 LENS = '<float name="aperture_radius" value="0.0005"/><float name="focus_distance" value="0.8"/>'
 FOV = '<float name="fov" value="40"/>'
 RAW = '<boolean name="raw" value="true"/>'
@@ -204,7 +204,7 @@ def test_load_scene_missing_file_lists_scenes(missing, folder):
 # --- The camera ---
 
 
-@pytest.mark.parametrize("name", [*CHARTS, "line_lamp", "macbeth"])
+@pytest.mark.parametrize("name", [*CHARTS, "line_lamp", "macbeth", "yard"])
 def test_packaged_scenes_have_default_camera(name):
     assert load(name).camera() == pixsim.Camera()
 

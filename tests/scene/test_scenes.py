@@ -16,7 +16,9 @@ from pixsim.light import spectral
 from pixsim.light.exr import read_channels
 from pixsim.scene.guard.inspector import open_scene
 from pixsim.scene.mitsuba import import_mitsuba, parse, speaking_mitsuba
+from pixsim.scene.plan import make_render_plan
 from pixsim.scene.tree import REFERENCES
+from pixsim.sensor.pixel_options import Pixel
 
 SCENES = ["cornell_box", "line_lamp", "macbeth", "still_life"]
 LAMPS = ["d65", "a", "fl11", "led_b3", "laser_532nm"]
@@ -253,6 +255,34 @@ def test_packaged_lamps_match_standards(name):
     ours = spectrum(name, standard.wavelengths[inside])
     # Files have six digits. CIE's table of A has six too; the file has its formula.
     np.testing.assert_allclose(ours / ours.max(), standard.values[inside] / standard.values[inside].max(), rtol=1e-5, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("name", "relative"),
+    [
+        # ASTM G173-03, global, W m⁻² nm⁻¹ at 500, 800 and 1100 nm, as pvlib's documentation prints them.
+        ("sunlight", [1.5451, 1.0725, 0.48577]),
+        ("halogen", [nm**-5.0 / np.expm1(1.438776877e7 / (3200 * nm)) for nm in (500, 800, 1100)]),
+    ],
+)
+def test_lamps_go_on_to_1100_nm(name, relative):
+    ours = spectrum(name, np.array([500.0, 800.0, 1100.0]))
+    np.testing.assert_allclose(ours / ours[0], np.array(relative) / relative[0], rtol=2e-5)  # six digits
+    assert luminous_flux(name) * COS_45 / np.pi == pytest.approx(WHITE_CD_PER_M2, rel=1e-5)
+    assert [table(name)[0][at] for at in (0, -1)] == [360, 1100]
+
+
+def test_materials_of_yard_say_what_they_are_to_1100_nm():
+    """No surface ends within the range of its lamp, of halogen light and of sunlight; measured shares are between 0 and 1."""
+    for path in sorted(FOLDER.glob("spectra/measured/*.spd")):
+        wavelength_nm, value = table(f"measured/{path.stem}")
+        np.testing.assert_array_equal(wavelength_nm, [360, *range(400, 1101, 10)])
+        assert 0 < value.min() <= value.max() < 1
+    pixel = Pixel(technology="4t-bsi", pitch_um=4.0)
+    for lamp in ("led_850nm", "halogen", "sunlight"):
+        plan = make_render_plan(pixsim.load_scene("yard", resolution=16, lamp=f"spectra/{lamp}.spd"), pixel=pixel)
+        assert plan.bands.edges_nm[-1] == 1100
+        assert not [text for text in plan.warnings if "reflectance" in text]
 
 
 def test_packaged_laser_is_line():

@@ -10,6 +10,9 @@ from scipy.integrate import quad
 
 from pixsim.base.errors import PixsimError
 from pixsim.sensor.diffusion import absorption_per_um, diffused_shares, diffusion_mtf, spread_shares
+from pixsim.sensor.integration import diffusion_of
+from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import Pixel
 
 # k of silicon at 295 K by C. Schinke et al., AIP Advances 5 (2015) 067168, as in refractiveindex.info (CC0); 11 % at 600 nm.
 SCHINKE_K = {450: 0.095362, 500: 0.048542, 550: 0.028038, 600: 0.018521, 650: 0.014447, 700: 0.010623, 750: 0.0076156}
@@ -117,3 +120,35 @@ def test_spread_shares_is_a_convolution_that_loses_what_leaves_the_kernel():
     one[2, 2] = 1
     np.testing.assert_array_equal(spread_shares(optical, one), optical)
     np.testing.assert_array_equal(spread_shares(one, diffused), diffused)
+
+
+GREEN_PER_K = [(450.0, 28e-4), (700.0, 37e-4), (850.0, 46e-4), (940.0, 62e-4), (1090.0, 165e-4)]
+
+
+@pytest.mark.parametrize(("nm", "coefficient_per_k"), GREEN_PER_K)
+@pytest.mark.parametrize("kelvin", [260.0, 330.0])
+def test_absorption_follows_the_temperature_coefficients_of_green(nm: float, coefficient_per_k: float, kelvin: float) -> None:
+    """α(T) = α(300 K) (T/300 K)^b, b = 300 K times the coefficient of Green's table; at 300 K nothing changes, bit for bit."""
+    wanted = (kelvin / 300.0) ** (300.0 * coefficient_per_k)
+    assert float(absorption_per_um(nm, kelvin) / absorption_per_um(nm)) == pytest.approx(wanted, rel=1e-12)
+    assert absorption_per_um(nm, 300.0) == absorption_per_um(nm)
+
+
+def test_temperature_of_a_pixel_acts_on_its_diffusion_alone() -> None:
+    """Warm silicon absorbs infrared nearer to its surface, so that less charge strays; 27 °C stands for the table's 300 K."""
+    frequency, nm = np.array([50.0]), 850.0
+    stack = {"microlens": "none", "height_um": 3.0, "depletion_um": 1.0, "diffusion_length_um": 20.0}
+    mtf = []
+    for kelvin in (300.15, 330.165):
+        physics = derive(Pixel(technology="4t-fsi", pitch_um=5.0, temperature_k=kelvin, stack=stack))
+        found = diffusion_of(physics)
+        assert found is not None
+        wanted = diffusion_mtf(frequency, absorption_per_um(nm, kelvin / 1.0005), 1.0, 20.0)
+        np.testing.assert_allclose(found(frequency, nm), wanted, rtol=1e-12)
+        mtf.append(float(found(frequency, nm)[0]))
+    assert mtf[0] == diffusion_mtf(frequency, absorption_per_um(nm), 1.0, 20.0)[0]
+    assert 0.005 < mtf[1] - mtf[0] < 0.05
+    plain = [derive(Pixel(technology="4t-bsi", pitch_um=2.0, temperature_k=kelvin)).charge for kelvin in (300.15, 330.0)]
+    assert plain[0] is not None
+    assert plain[1] is not None
+    assert plain[0].content_hash == plain[1].content_hash

@@ -125,7 +125,8 @@ MOVES: dict[str, Any] = {
     "camera.focal_length_mm": 0.15, "camera.f_number": 2.8, "camera.die_mm": 0.08, "camera.die_height_mm": (0.08, 0.2),
     "camera.object_distance_m": 0.02, "camera.transmittance": 0.5,
     "camera.chief_ray_angle": ([[0, 0], [0.07, 15]], [[0, 0, 1], [0.07, 15, 0.5]]),
-    "lens.file": "singlet", "lens.focal_length_mm": 1.5, "lens.refocus": "paraxial", "lens.ideal": "undistorted",
+    "lens.file": "singlet", "lens.focal_length_mm": 1.5, "lens.refocus": "paraxial", "lens.focus_nm": 850.0,
+    "lens.ideal": "undistorted",
     "lens.configuration": 2, "lens.semi_diameters": "clip", "lens.vignetting_factors": ("use", "ignore"),
     "lens.glass_catalogues": "no.agf", "lens.unknown_glass": "model",
     "lens.veiling_glare": 0.2, "lens.veiling_glare_outside": 3.0, "lens.relative_illumination": [[0, 1], [0.07, 0.5]],
@@ -167,7 +168,7 @@ MOVES: dict[str, Any] = {
     "develop.tone_gamma": 3.0, "develop.tone_white": 2.0,
     "display.raster": ("one_to_one", "fixed_size"), "display.dots": 20, "display.samples_per_deg": 40.0,
     "display.interpolation": "cubic", "display.gamma": 1.8, "display.bits": 5, "display.white_cd_per_m2": 1.2e5,
-    "display.white_w_per_m2_sr": 300.0,
+    "display.white_w_per_m2_sr": 300.0, "display.white": "diffuser", "display.diffuser_reflectance": 0.5,
     "display.shading_correction": False, "display.filters": "zhang1996", "display.delta_e": "2000", "display.adaptation": "none",
 }  # fmt: skip
 # Without which a setting is refused, or has nothing to act on.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -18,6 +18,7 @@ from pixsim.light.spectral import HIGH_NM, LOW_NM
 from pixsim.light.tables import unit_hint
 from pixsim.scene.guard.assets import NUMBER, found, inspect_asset, metals, spectrum_value
 from pixsim.scene.guard.files import SceneElement, SceneFiles, check_references, read_scene, written
+from pixsim.scene.guard.plate import with_plate
 from pixsim.scene.guard.plugins import LARGEST, MAX_ELEMENTS, PLUGINS, SMALLEST, Allowed, Plugin
 from pixsim.scene.guard.strength import with_strength
 from pixsim.scene.packaged import packaged_folder
@@ -68,12 +69,19 @@ class SceneText:
     content: str
 
 
-def open_scene(path: Path, given: dict[str, str], unread: Path | None = None, strength: float | None = None) -> SceneText:
+def open_scene(
+    path: Path,
+    given: dict[str, str],
+    unread: Path | None = None,
+    strength: float | None = None,
+    plate: Sequence[float] | None = None,
+) -> SceneText:
     """Return a scene's text for Mitsuba.
 
     given : parameters that the user sets
     unread : a picture that will be replaced before Mitsuba builds the scene
     strength : factor on the light of all emitters
+    plate : transform of a white plate that is added to the scene, 16 numbers, row by row
 
     Raises PixsimError for files, elements, plugins, properties and values that Mitsuba must not read.
     """
@@ -82,6 +90,7 @@ def open_scene(path: Path, given: dict[str, str], unread: Path | None = None, st
     inspector = _Inspector(files, unread)
     root = inspector.scene(files.root)
     root = root if strength is None else with_strength(root, strength)
+    root = root if plate is None else with_plate(root, plate)
     return SceneText(written(root), frozenset(files.names), files.defaults, files.content)
 
 

@@ -1,0 +1,104 @@
+"""Notes on tables of efficiency that end before the light does, and on infrared light in colours: their shares in closed form."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
+from pixsim.sensor.infrared import infrared_shares, share_beyond, tables_of, warn_of_light
+from pixsim.sensor.outside import CENTRES_NM, OUTSIDE
+from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.pixel_options import Pixel
+
+NM = np.arange(365.0, 1100.0, 10.0)
+CAMERA = Camera(die_mm=0.04)
+
+
+def light(spectrum: np.ndarray, **header: Any) -> SpectralImage:
+    return SpectralImage(
+        NM, 10.0, 5.0, data=np.broadcast_to(spectrum, (8, 8, NM.size)).copy(), header={"diffraction": False, **header}
+    )
+
+
+EVEN_PHOTONS = light(1e-3 / NM)  # as many photons in each band
+
+
+def grey(table: list[list[float]], **more: Any) -> PixelPhysics:
+    stack = {"enabled": False}
+    return derive(
+        Pixel.model_validate({"technology": "4t-bsi", "pitch_um": 5.0, "quantum_efficiency": table, "stack": stack} | more)
+    )
+
+
+def coloured(**more: Any) -> PixelPhysics:
+    """Each channel sees 100 nm of the visible with 0.5, and all see 700 to 1000 nm: G half as much as the others."""
+    low_nm, high = {"R": 600.0, "G": 500.0, "B": 400.0}, {"R": 0.2, "G": 0.1, "B": 0.2}
+    nm = np.arange(400.5, 1001.0)
+    curves = {}
+    for letter, low in low_nm.items():
+        values = np.where((nm > low) & (nm < low + 100), 0.5, np.where((nm > 700) & (nm < 1000), high[letter], 0.0))
+        curves[letter] = [[400, 0.0], *np.column_stack([nm, values]).tolist()]
+    colour = {"pattern": "rggb", "quantum_efficiencies": curves}
+    return derive(
+        Pixel.model_validate({"technology": "4t-bsi", "pitch_um": 5.0, "colour": colour, "stack": {"enabled": False}} | more)
+    )
+
+
+def said(physics: PixelPhysics, image: SpectralImage = EVEN_PHOTONS) -> list[str]:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        warn_of_light(physics, CAMERA, image)
+    return [str(one.message) for one in caught]
+
+
+def test_share_beyond_a_table_is_that_of_its_last_value() -> None:
+    """0.4 from 400 to 900 nm, and then 0.4 for 200 nm of 700: 2 of 7 of photons that are even."""
+    physics = grey([[400, 0.4], [900, 0.4]])
+    (curve,) = tables_of(physics).values()
+    assert share_beyond(curve, EVEN_PHOTONS, physics) == pytest.approx(2 / 7, rel=1e-7)
+    (text,) = said(physics)
+    assert re.search(r"pixel\.quantum_efficiency ends at 900 nm with 0\.4, and is 0 beyond: if it stayed so, 29% of", text)
+
+
+@pytest.mark.parametrize(
+    "physics",
+    [
+        grey([[400, 0.4], [900, 0.0]]),
+        grey([[400, 0.4], [1100, 0.4]]),
+        grey([[400, 0.4], [900, 0.4]], infrared_cut_nm=900.0),
+        grey([[400, 0.4], [1090, 0.4], [1095, 0.4]]),
+    ],
+)
+def test_a_table_that_ends_dark_or_with_the_light_or_the_filter_says_nothing(physics: PixelPhysics) -> None:
+    assert said(physics) == []
+
+
+def test_light_that_is_not_computed_counts_by_its_lamp() -> None:
+    """A table that ends at 800 nm keeps the range at 830 nm: what the lamp has beyond stands in the header."""
+    physics = grey([[400, 0.4], [800, 0.4]])
+    lamps = [(1e-3 / CENTRES_NM).tolist(), (CENTRES_NM < 800).astype(float).tolist()]
+    image = light(np.where(NM < 830, 1e-3 / NM, 0.0), **{OUTSIDE: lamps})
+    (curve,) = tables_of(physics).values()
+    assert share_beyond(curve, image, physics) == pytest.approx(310 / 710, rel=1e-7)  # from 800 to 1110 nm, of 400 to 1110 nm
+
+
+def test_infrared_in_colours_is_told_by_channel() -> None:
+    """R: 300 · 0.2 of 100 · 0.5 + 300 · 0.2, G: 300 · 0.1 of 100 · 0.5 + 300 · 0.1, B as R; a filter takes it away."""
+    shares = infrared_shares(EVEN_PHOTONS, coloured())
+    assert shares == {
+        "R": pytest.approx(60 / 110, rel=1e-3),
+        "G": pytest.approx(30 / 80, rel=0.01),
+        "B": pytest.approx(60 / 110, rel=1e-3),
+    }
+    (text,) = said(coloured())
+    assert text.startswith(
+        "infrared beyond 700 nm is 55% of R, 38% of G, 55% of B, which no eye sees: it is part of the colour error."
+    )
+    assert said(coloured(infrared_cut_nm=690.0)) == said(coloured(), light(np.where(NM < 700, 1e-3, 0.0))) == []
+    assert infrared_shares(EVEN_PHOTONS, grey([[400, 0.4], [1100, 0.4]])) == {}
