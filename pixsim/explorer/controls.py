@@ -17,6 +17,7 @@ from pixsim.sensor.camera_data import camera_names
 from pixsim.sensor.pixel_options import NUMBERS
 from pixsim.viewer.merging import merge
 from pixsim.viewer.setting import Run
+from pixsim.viewer.settings_file import packaged_sensors, settings_layer
 
 # Settings that a designer turns; what this version does not have is left out.
 PITCH = "pixel.pitch_um"
@@ -109,16 +110,17 @@ class Preset(NamedTuple):
 
 
 def presets_of(config: Sequence[Path], tables: Mapping[str, Any]) -> list[Preset]:
-    """Return the presets: first the files and options of the user, then each of several files, technologies and cameras."""
+    """Return the presets: first the files and options of the user, then each of several files, and what pixsim packages."""
     found = [Preset("start", "as given", tuple(config), tables)]
     found += [Preset("files", path.name, (path,), tables) for path in config if len(config) > 1]
-    others = {name: table for name, table in tables.items() if name != "pixel"}
-    for name in packaged("data/technologies"):
-        found.append(Preset("technologies", name, (), {**others, "pixel": {"technology": name}}))
-    for name in camera_names():
-        colour = NUMBERS["colour"].example | {"sensitivities": name}
-        found.append(Preset("colours of cameras", name.replace("_", " "), (), {**others, "pixel": {"colour": colour}}))
-    return found
+    # A run with a data sheet alone would be shown on the dots of its pixels: all have one display, and a picture comes soon.
+    given = {name: table for name, table in tables.items() if name != "pixel"}
+    others = merge({"display": {"dots": Run().display.dots}}, given)
+    pixels = [("technologies", name, {"technology": name}) for name in packaged("data/technologies")]
+    pixels += [("sensors", name, settings_layer(name).table["pixel"]) for name in packaged_sensors()]
+    colours = {name: NUMBERS["colour"].example | {"sensitivities": name} for name in camera_names()}
+    pixels += [("colours of cameras", name.replace("_", " "), {"colour": colour}) for name, colour in colours.items()]
+    return found + [Preset(group, name, (), {**others, "pixel": pixel}) for group, name, pixel in pixels]
 
 
 def with_values(tables: Mapping[str, Any], values: Mapping[str, object]) -> dict[str, Any]:

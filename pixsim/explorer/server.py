@@ -147,7 +147,6 @@ def explore_until_closed(session: Session, told: Callable[[Path], object] | None
         if told is not None:
             told(file)
         elif not webbrowser.open(file.as_uri()):
-            raise invalid(
-                "browser", "none that can be opened", "one", "--no-browser, in Python opened=print, names the page's file."
-            )
+            hint = "--no-browser, in Python opened=print, names the page's file."
+            raise invalid("browser", "none that can be opened", "one", hint)
         session.serve()

@@ -163,9 +163,8 @@ class Session:
             raise invalid("page", f"preset {place}", "a preset of this page")
         shared = {path: value for path, value in asked.sensors[0][1].items() if path in controls and controls[path].of_all}
         own = {path: value for path, value in values.items() if not controls[path].of_all}
-        tables = with_values(
-            self.presets[place].tables, {path: controls[path].value(value) for path, value in (shared | own).items()}
-        )
+        set_here = {path: controls[path].value(value) for path, value in (shared | own).items()}
+        tables = with_values(self.presets[place].tables, set_here)
         return self.presets[place], tables | ({"metrics": (DELTA_E.name, *asked.metrics)} if asked.metrics else {})
 
     def _job(self, asked: PageRequest, number: int) -> RunJob:

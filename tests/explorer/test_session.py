@@ -213,13 +213,15 @@ def test_presets_are_the_users_files_technologies_and_cameras(tmp_path):
     assert [preset.name for preset in presets if preset.group == "files"] == ["one.toml", "two.toml"]
     (bsi,) = [preset for preset in presets if preset.name == "4t-bsi"]
     assert (bsi.config, bsi.tables) == ((), {"pixel": {"technology": "4t-bsi"}, "display": {"dots": 64}})
+    (imx477,) = [preset for preset in presets if preset.group == "sensors" and preset.name == "imx477"]
+    assert (imx477.tables["pixel"]["full_well_e"], imx477.tables["display"]) == (8180, {"dots": 64})
     assert "Nikon D5100" in [preset.name for preset in presets]
 
 
-@pytest.mark.parametrize("name", ["4t-bsi", "Nikon D5100"])
+@pytest.mark.parametrize("name", ["4t-bsi", "imx477", "Nikon D5100"])
 def test_preset_is_evaluated(name):
     session = Session("csf", (), SMALL)
     place = [preset.name for preset in session.presets].index(name)
     last = [message for message in answers(session, PageRequest(1, ((place, {"pixel.pitch_um": 42.4}),))) if message.get("sure")]
     assert len(last) == 1
-    assert name.replace(" ", "_") in last[0]["command"]
+    assert {"imx477": "full-well-e=8180"}.get(name, name.replace(" ", "_")) in last[0]["command"]
