@@ -491,20 +491,21 @@ def test_datasheet_of_python_and_of_the_command_write_same_files(tmp_path: Path,
     assert code == 0, err
     made = pixsim.datasheet(file, pixel={"bits": 12}, exposure={"integration_s": 0.01})
     assert json.loads(out) == {"schema": 1} | json.loads(json.dumps(made.as_dict()))
-    assert made.write(tmp_path / "python", figures="pdf") == tmp_path / "python/report.html"
-    names = {path.relative_to(tmp_path / "python") for path in (tmp_path / "python").rglob("*") if path.is_file()}
-    assert {name.as_posix() for name in names} == {*PLANNED, "provenance.json"}
-    for name in names:
-        assert (tmp_path / "python" / name).read_bytes() == (tmp_path / "command" / name).read_bytes(), name
-    assert made.to_csv().encode() == (tmp_path / "python/datasheet.csv").read_bytes()
-    figures = tmp_path / "python/figures"
-    assert {path.stem for path in figures.glob("*.pdf")} == {path.stem for path in figures.glob("*.svg")} != set()
-    for path in figures.glob("*.pdf"):
-        content = path.read_bytes()
+    written = {path: path.read_bytes() for path in (tmp_path / "command").rglob("*") if path.is_file()}
+    assert {path.relative_to(tmp_path / "command").as_posix() for path in written} == {*PLANNED, "provenance.json"}
+    assert made.to_csv().encode() == written[tmp_path / "command/datasheet.csv"]
+    pictures = {path: written.pop(path) for path in list(written) if path.suffix == ".pdf"}
+    assert {path.stem for path in pictures} == {path.stem for path in written if path.suffix == ".svg"} != set()
+    for content in pictures.values():
         assert (content[:5], b"CreationDate" in content) == (b"%PDF-", False)
         assert b"DejaVuSans" in content, "text is text"
-    made.write(tmp_path / "python")
-    assert not list(figures.glob("*.pdf")), "they are gone where they are not asked for"
+    assert made.write(tmp_path / "command") == tmp_path / "command/report.html"
+    assert not any(path.exists() for path in pictures), "they are gone where they are not asked for"
+    del written[tmp_path / "command/provenance.json"]  # it lists them
+    for path, content in written.items():
+        assert path.read_bytes() == content, path
+    drawn = datasheet_document(made).plots[0].draw().drawn("pdf")
+    assert drawn.pdf == pictures[tmp_path / f"command/figures/{drawn.name}.pdf"]
     record = pixsim.datasheet(
         pixel=Pixel(technology="0.35um", pitch_um=6.5, bits=12), exposure=Exposure(integration_s=0.01, gain_db=6), seed=5
     )

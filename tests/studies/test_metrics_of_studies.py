@@ -17,7 +17,8 @@ from helpers.tiny import rows, tiny
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.report.axes import axes_files, axes_summary, conditions_table, optima_columns
+from pixsim.report.axes import axes_files, axes_page, axes_summary, conditions_table, optima_columns
+from pixsim.show.document import Listed
 from pixsim.studies.agreement import agreement_of, agreement_words, place_words, share_of_best
 from pixsim.studies.conditions import compromises_of
 from pixsim.studies.optimum import fit_curve
@@ -175,9 +176,9 @@ def test_reports_have_the_noise_equivalent_quanta_beside_information(judged: tup
         assert code == 0, err
         assert (out / "figures" / "neq.csv").is_file() == has_quanta
         assert ("Noise-equivalent quanta" in (out / "report.html").read_text()) == has_quanta
-        code, _, err = command(f"run flat -D resolution=48 --display.dots 32 --metric mtf50 --out {out}")
-        assert code == 0, err
-        assert not (out / "figures" / "neq.csv").exists(), "a file of the run before"
+    code, _, err = command(f"run flat -D resolution=48 --display.dots 32 --metric mtf50 --out {tmp_path / 'information'}")
+    assert code == 0, err
+    assert not (tmp_path / "information" / "figures" / "neq.csv").exists(), "a file of the run before"
 
 
 def test_study_resumes_rows_of_the_same_metrics_only(judged: tuple[StudyResult, Path], tmp_path: Path) -> None:
@@ -443,5 +444,8 @@ def test_study_of_conditions_judges_by_any_metric_first(tmp_path: Path) -> None:
     assert 0.9 * mean < first["best_weighted_mean"]["value"] <= mean, "no size is better than each condition's own"
     assert max(first["least_worst_regret"]["regrets"].values()) == pytest.approx(first["least_worst_regret"]["regret"])
     assert "least_weighted_delta_e" in first["others"]["delta_e"]
+    page = axes_page(result, compromises, {}, [])
+    listed = [str(item) for block in page.sections[0].blocks if isinstance(block, Listed) for item in block.items]
+    assert ["weighted mean ΔE" in words for words in listed] == [True] * len(compromises)
     names = {"information_by_pitch_and_f.svg", "optimum_by_f.svg", "conditions_1.svg"}
     assert names <= {Path(name).name for name in axes_files(result.study)}

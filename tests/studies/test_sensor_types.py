@@ -31,7 +31,7 @@ SMALL |= {
     "resolution": COARSE,
     "technologies": ["0.35um", "0.25um"],
 }
-SMALL |= {"pitch": {"min_fill_factor": 0.05, "count": 6, "max_um": 15.0}, "camera": {"die_mm": 0.5}, "display": {"dots": 32}}
+SMALL |= {"pitch": {"min_fill_factor": 0.05, "count": 5, "max_um": 15.0}, "camera": {"die_mm": 0.5}, "display": {"dots": 32}}
 DRAWS = 8
 
 

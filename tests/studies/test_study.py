@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from helpers.commands import command
 from helpers.processes import HANG_S, signalled
-from helpers.tiny import FINE, PITCHES_UM, WHOLE_CHART, keys, rows, tiny as tiny_study, tiny_toml
+from helpers.tiny import PITCHES_UM, WHOLE_CHART, keys, rows, tiny as tiny_study, tiny_toml
 
 import pixsim
 from pixsim.base import cache
@@ -338,7 +338,7 @@ def test_study_cached_frames_same_bytes(tmp_path: Path, monkeypatch: pytest.Monk
     taken: list[int] = []
     capture = ImagingChain.capture
     monkeypatch.setattr(ImagingChain, "capture", lambda self, *key, **more: taken.append(1) or capture(self, *key, **more))
-    study = tiny(repeats=2, pitch={"values_um": PITCHES_UM[1:]}, exposure={"integration_s": 1.0}, resolution=FINE, **WHOLE_CHART)
+    study = tiny(repeats=2, pitch={"values_um": PITCHES_UM[1:]}, exposure={"integration_s": 1.0}, resolution=128, **WHOLE_CHART)
     results = tmp_path / "out/results.csv"
 
     def evaluated() -> tuple[bytes, int]:
