@@ -53,7 +53,7 @@ EFFORT = {
     "slanted_edge": Effort((64, 4), places=1),
     "line_lamp": Effort((64, 16), (6, 4), 1),
     "still_life": Effort((16, 16), (8, 4), 1),
-    "cornell_box": Effort((64, 16), (8, 4), 1),
+    "cornell_box": Effort((256, 64), (8, 6), 1),
     "yard": Effort((64, 16), (6, 4), 1),
 }
 FILM = 24
