@@ -37,7 +37,7 @@ REPEATS = 4  # sensors of each kind, for the 95 % interval of their mean
 CURVE_STEPS, A_DECADE = 4, 12  # sizes on each side of the pixel's, and how many there are from one to ten times it
 TELL_S = 0.2  # between two words on what is being done
 LINE = 10_000  # columns: the page breaks lines itself
-LIGHT = {"scene", "lens", "window_mm", "seed", "resolution", "tolerance_e"}  # what it depends on, beside camera and accuracy
+LIGHT: Any = {"display": {"white"}} | dict.fromkeys(("scene", "lens", "window_mm", "seed", "resolution", "tolerance_e"), True)
 
 
 class SupersededError(BaseException):
@@ -194,8 +194,7 @@ class Session:
     def _light_key(self, job: RunJob) -> str:
         """Return what light must have in common to serve for a first picture: all but the accuracy that each pixel asks for."""
         bands = [] if job.cases[0].picture else job.demand.plan.bands.edges_nm.tolist()
-        own = [job.camera.model_dump(mode="json"), bands, job.settings.display.white]
-        return content_hash([job.settings.model_dump(mode="json", include=LIGHT), *own])
+        return content_hash([job.settings.model_dump(mode="json", include=LIGHT), job.camera.model_dump(mode="json"), bands])
 
     def _kept(self, job: RunJob) -> LitRun | None:
         """Return a run for the first picture, by ΔE alone, in light that is known or comes at once; None if it must be rendered."""
