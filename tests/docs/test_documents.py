@@ -30,7 +30,7 @@ from pixsim.viewer.score import ImagingChain, Score
 README = ROOT / "README.md"
 PAGES = [README, *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs/gallery").glob("*.md"))]
 # First, so that in the end no worker waits for one of them.
-LONGEST = ("pixel_stack.md", "first_sensor.md", "compare.md", "how_small.md", "studies.md", "questions.md", "processing.md")
+LONGEST = ("pixel_stack.md", "first_sensor.md", "own_scene.md", "glass.md", "not_known.md", "compare.md", "sodium.md")
 LONGEST_FIRST = sorted(PAGES, key=lambda path: LONGEST.index(path.name) if path.name in LONGEST else len(LONGEST))
 
 
