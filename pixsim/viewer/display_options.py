@@ -10,6 +10,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, mod
 from pixsim.base.caller import setting
 from pixsim.base.problems import Words
 from pixsim.base.records import Record
+from pixsim.light.quantities import Fraction
 from pixsim.optics.camera import SIZES
 
 Luminance = Annotated[float, Field(ge=1e-12, le=1e15)]  # the disc of the sun: 1.6e9
@@ -52,7 +53,7 @@ class Display(Record):
         description="'diffuser': display white is a white plate at the object's distance that faces the lens, in the light of the "
         "scene; of an emissive chart texel value 1 (absent: a luminance or radiance, as above, or what the scene states)",
     )
-    diffuser_reflectance: Annotated[float, Field(gt=0, le=1)] = Field(
+    diffuser_reflectance: Fraction = Field(
         1.0, description="reflectance of the white plate of display.white = 'diffuser'; 1 is the perfect diffuser"
     )
     shading_correction: bool = Field(

@@ -16,7 +16,7 @@ from pixsim.scene.white_plate import distance_of_plate_m, place_of_plate
 from pixsim.sensor.pixel import derive
 from pixsim.studies.light_level import LightLevel
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.score import Seen, white_header
+from pixsim.viewer.score import SeenPicture, white_header
 
 BAND_NM = "839:0, 840:0.5, 860:0.5, 861:0"  # W m⁻² nm⁻¹: 10.5 W/m²
 IRRADIANCE = 10.5
@@ -78,7 +78,7 @@ def test_packaged_checker_takes_its_stated_white() -> None:
     """Each of its lamps gives a perfect diffuser 1000 cd/m²."""
     light = render(load_scene("macbeth", resolution=16), diffuser=True)
     white = white_header(
-        [Seen(light, pixsim.Camera(), derive(pixsim.Pixel()))], Display(white="diffuser", diffuser_reflectance=0.5)
+        [SeenPicture(light, pixsim.Camera(), derive(pixsim.Pixel()))], Display(white="diffuser", diffuser_reflectance=0.5)
     )
     assert white["luminance_cd_per_m2"] == pytest.approx(500, rel=1e-4)
 
