@@ -20,23 +20,7 @@ from pixsim.report.settings import scene_rows, settings_tables
 from pixsim.report.wording import DELTA_E, blur_words, budget_section, map_words, rendered_words
 from pixsim.sensor.labels import label_of
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
-from pixsim.show.document import (
-    Answer,
-    DeltaEScale,
-    Document,
-    Fact,
-    Link,
-    Listed,
-    Map,
-    Note,
-    Pictures,
-    Plot,
-    Section,
-    Slider,
-    Table,
-    Text,
-    headline,
-)
+from pixsim.show.document import DeltaEScale, Document, Fact, Link, Listed, Map, Note, Pictures, Plot, Section, Slider, Table, Text
 from pixsim.show.pages import figure_files
 from pixsim.show.pictures import Picture, delta_e_png, display_codes, factor_for, light_png, reduced, scale, scale_end, worst_window
 from pixsim.show.render import PAGE
@@ -46,7 +30,7 @@ from pixsim.studies.light_level import LightLevel
 from pixsim.studies.quanta import NEQ, neq_against_frequency, quanta_of_run
 from pixsim.studies.run import LitRun, RunJob, RunResult
 from pixsim.studies.run_arrays import Irradiance, write_irradiance, write_numbers
-from pixsim.studies.sentences import FILLED, judged_lines, lens_words, score_parts, thin_lens_words, unsure_words
+from pixsim.studies.sentences import FILLED, judged_lines, leads_other, lens_words, run_answers, thin_lens_words, unsure_words
 from pixsim.studies.settings_text import settings_text
 
 if TYPE_CHECKING:
@@ -158,13 +142,13 @@ def run_document(result: RunResult, warned: Collection[str] = ()) -> Document:
     """
     score, header, pitch_um = result.score, result.irradiance.header, result.score.physics.pitch_um
     scene = Path(str(header.get("scene", header.get("source", "a picture of another program")))).stem
-    unsure, answer = unsure_words(result), headline(score_parts(result))
+    unsure = unsure_words(result)
     return Document(
         command="run",
         kind="picture of one sensor",
         title=f"{scene} with {pitch_um:g} µm pixels",
         data=result.as_dict(),
-        answers=(Answer(answer.head, (*unsure, *answer.below)),),
+        answers=tuple(run_answers(result)),
         lead=(*several_facts(result), *(Note(note) for note in result.notes if note not in {*unsure, *warned})),
         about=(
             DELTA_E,
@@ -209,7 +193,7 @@ def run_page(result: RunResult, files: RunFiles = USUAL, progress: Progress | No
 def several_facts(result: RunResult) -> Iterator[Fact]:
     """Yield what is known of the sensors of a run of several, but for those of an error budget, and of several frames."""
     frames, repeats = result.prepared.frames, result.prepared.repeats
-    yield from map(Fact, judged_lines(result))
+    yield from map(Fact, judged_lines(result)[leads_other(result) :])
     if repeats > 1 and result.interval_delta_e is not None:
         each = span(result.delta_e.min(), result.delta_e.max(), ".4f")
         words = f"{repeats} sensors: ΔE of {each}, 95 % interval of their mean {span(*result.interval_delta_e, '.4f')}"

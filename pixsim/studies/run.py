@@ -30,7 +30,7 @@ from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.sensor.readout import Frame
 from pixsim.sensor.technology import Technology, load_technology
-from pixsim.show.document import headline, pairs, plain_text
+from pixsim.show.document import pairs, plain_text
 from pixsim.show.pages import plain, rows_csv
 from pixsim.show.render import cell_of
 from pixsim.studies.budget import with_tolerance
@@ -39,7 +39,7 @@ from pixsim.studies.lights import demand_of
 from pixsim.studies.oversampling import Demand, Light, rendered_light
 from pixsim.studies.paired import mean_interval
 from pixsim.studies.preparation import check_metrics, choose_view, is_picture, loaded_scene, scene_with_view, with_view
-from pixsim.studies.sentences import score_parts
+from pixsim.studies.sentences import run_answers
 from pixsim.studies.series import judging_of
 from pixsim.studies.settings_text import scene_table
 from pixsim.studies.threshold import Threshold, start_of, threshold_of
@@ -430,10 +430,10 @@ class RunResult(LitRun):
         camera = self.camera
         of_run = f"{camera.focal_length_mm:g} mm at f/{camera.f_number:g}, die of {camera.die_mm:g} mm; seed {self.settings.seed}"
         notes = [f"{self.prepared.source}: {of_run}", *self.notes]
-        return cell_of([headline(score_parts(self))], self.plot(), pairs("statistics", self.statistics[0], ".6g"), *notes)
+        return cell_of(run_answers(self), self.plot(), pairs("statistics", self.statistics[0], ".6g"), *notes)
 
     def __repr__(self) -> str:
-        return f"<RunResult {self.prepared.source}: {plain_text(headline(score_parts(self)).head)}>"
+        return f"<RunResult {self.prepared.source}: {plain_text(run_answers(self)[0].head)}>"
 
 
 # --- the way from the settings to the result -------------------------------------------------------------------------------------

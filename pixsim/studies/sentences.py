@@ -16,7 +16,7 @@ from pixsim.base.notes import told_apart
 from pixsim.optics.camera import Camera
 from pixsim.scene.convergence import RENDER_NOISE, what_reaches
 from pixsim.sensor.stages import stage_words
-from pixsim.show.document import Fact, Strong, Table, Text, has_room, headline, joined, plain_text
+from pixsim.show.document import Answer, Fact, Strong, Table, Text, has_room, headline, joined, plain_text
 from pixsim.show.sentences import few, interval, span, with_ends, with_error
 from pixsim.studies.agreement import agreement_words, value_words
 from pixsim.studies.extent import columns_on, moved_view, stated_end_lp_per_mm
@@ -275,6 +275,18 @@ def judged_lines(result: RunResult) -> list[str]:
         seen = _threshold_words(result, mean) if metric is DETECTABILITY and (mean or result.threshold) else ""
         lines.append(f"{metric.words} {value} {metric.unit}".rstrip() + f", of the {metric.judges}{seen}")
     return lines
+
+
+def run_answers(result: RunResult) -> list[Answer]:
+    """Return the answers of a run, its mean ΔE with what makes it unsure; before it that of the first metric, if it is another."""
+    delta_e = headline(score_parts(result))
+    answers = [Answer(delta_e.head, (*unsure_words(result), *delta_e.below))]
+    return [*map(Answer, judged_lines(result)[: leads_other(result)]), *answers]
+
+
+def leads_other(result: RunResult) -> bool:
+    """Return whether the first metric of a run, that of its headline, is another one than ΔE."""
+    return result.settings.metrics[0] != DELTA_E.name
 
 
 def _threshold_words(result: RunResult, d_prime: float) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from helpers.runs import run_result
 
+import pixsim
 from pixsim.base.headline import MOST_WORDS
 from pixsim.measure.sfr import sfr_parts
 from pixsim.report.uncertainty import uncertainty_blocks
@@ -19,7 +20,7 @@ from pixsim.report.wording import compromise_answer
 from pixsim.sensor.outside import outside_words
 from pixsim.show.document import Answer, Text, headline, plain_text
 from pixsim.studies.run import RunResult
-from pixsim.studies.sentences import optimum_line, optimum_parts, score_parts
+from pixsim.studies.sentences import optimum_line, optimum_parts, run_answers, score_parts
 from pixsim.studies.viewing import Viewing
 from pixsim.viewer.causes import Cause
 from pixsim.viewer.light_error import LightError
@@ -87,6 +88,21 @@ def test_headlines_of_runs_are_short_and_name_the_largest_cause() -> None:
         assert head.startswith(f"mean ΔE {result.shown_mean}")
         assert not result.causes or result.causes[0].words in head
         assert ("not converged" in head) == ("not converged" in result.shown_mean)
+
+
+def test_headline_of_a_run_is_that_of_its_first_metric() -> None:
+    """The command, the page and Python have the same order, whether ΔE is asked for or not."""
+    for metrics, first in (
+        (["detectability"], "detectability"),
+        (["detectability", "delta_e"], "detectability"),
+        (None, "mean ΔE"),
+    ):
+        result = pixsim.run("target", **own, **({"metrics": metrics} if metrics else {}))
+        words = [str(plain_text(answer.head)).partition(" ")[0] for answer in run_answers(result)]
+        assert words == (["detectability", "mean"] if metrics else ["mean"])
+        assert f": {first}" in repr(result)
+    both = pixsim.run("target", **own, metrics=["delta_e", "detectability"])
+    assert [plain_text(answer.head)[:7] for answer in run_answers(both)] == ["mean ΔE"]
 
 
 def test_headlines_of_studies_are_short() -> None:
