@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import takewhile
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
@@ -75,6 +76,10 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer], listed: se
         allowed = "" if table in listed else f"; allowed: {', '.join(known)}"
         listed.add(table)
         return f"{where}: unknown name{allowed}.{hint and ' '}{hint}"
+    if problem["type"] == "missing" and isinstance(problem["loc"][-1], int) and isinstance(problem["input"], Sequence):
+        field, at_least = _field(title, path[:-1]), problem["loc"][-1] + 1
+        meant = f": {field.description}" if field and field.description else ""
+        return f"{where.rpartition('.')[0]}: got a list of {len(problem['input'])}; allowed: a list of at least {at_least}{meant}."
     if problem["type"] == "missing":
         field = _field(title, path)
         return f"{where}: missing; it is required{f', as in {field.examples[0]}' if field and field.examples else ''}."
@@ -154,6 +159,7 @@ def _layer_of(problem: ErrorDetails, layers: Sequence[Layer]) -> Layer | None:
     A missing value, or a conflict between values, has none: it is the last layer with the enclosing table.
     """
     loc = [part for part in problem["loc"] if part not in BRANCHES]
+    loc = list(takewhile(lambda part: not isinstance(part, int), loc))  # layers replace lists as a whole
     for length in range(len(loc), -1, -1):
         for layer in reversed(layers):
             if layer.table and layer.names(loc[:length]):

@@ -22,6 +22,7 @@ from pydantic import TypeAdapter, ValidationError
 from pixsim.base import cache
 from pixsim.base.arrays import WORTH_THREADS, Array, in_threads, strips
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.notes import warn
 from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera, CameraOptions
@@ -73,6 +74,7 @@ LIGHT_SHARE, CUT_SHARE = 0.2, 0.4  # of the tolerance, for wavelengths, for node
 USUAL_TOLERANCE = 0.01  # of the rms of a blurred picture about its mean
 GROUPS, GROUP_WAVELENGTHS = 6, 2  # of neighbouring bands that have one blur, in light of several spectra
 LENS_HEADER = "lens_blur"  # entry of an image's header: its `Tiling`
+OTHER_SCALE = 0.01  # of a lens: less than focal lengths differ between pieces of one lens
 SPLINE = 5  # degree, for the picture between film cells: 1.4e-3 of the contrast at half the Nyquist frequency
 IMAGES = 4  # of a frequency on each side, by which the error of the spline is found
 SLOPE, CURVATURE = np.array([1, -8, 0, 8, -1]) / 12, np.array([-1, 16, -30, 16, -1]) / 12  # of samples, to the fourth order
@@ -95,13 +97,19 @@ def camera_with_lens(camera: Camera, given: CameraOptions, chosen: LensOptions) 
     ):
         if getattr(given, name) is not None:
             raise invalid(f"camera.{name}", f"a value beside lens.file = '{chosen.file}'", "that of the lens", instead)
-    file = str(Path(chosen.file).resolve()) if Path(chosen.file).is_file() else chosen.file
+    of_user = Path(chosen.file).is_file()
+    file = str(Path(chosen.file).resolve()) if of_user else chosen.file
     own = read_lens(file, chosen)
     field_mm = math.hypot(camera.die_mm, camera.height_mm) / 2
     focal_mm, f_number = own.first_order(own.primary_nm).focal_length_mm, own.first_order(own.primary_nm).f_number
     if chosen.focal_length_mm is None:
         farthest_mm = abs(float(own.chief_ray(own.max_field_deg, own.primary_nm).height_mm))
         scaled_mm = float(f"{focal_mm * field_mm / farthest_mm:.6g}") if farthest_mm else focal_mm
+        if of_user and abs(scaled_mm / focal_mm - 1) > OTHER_SCALE:  # a lens that exists; packaged ones are designs
+            warn(
+                f"lens '{own.prescription.name}' of {focal_mm:.5g} mm is scaled so that its largest field reaches the corner of "
+                f"the die: lens.focal_length_mm = {focal_mm:.5g} leaves it as it is in its file"
+            )
     else:
         scaled_mm = chosen.focal_length_mm
     lens = TracedLens(

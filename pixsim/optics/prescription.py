@@ -546,7 +546,7 @@ FIELD_KINDS: dict[int, FieldOfView] = {0: "angle_deg", 1: "object_height", 2: "p
 USUAL_FIELDS, MOST_FIELDS = 12, 200  # of older files, in which the places of unused ones are filled up, and of any
 FACTORS = ("VDXN", "VDYN", "VCXN", "VCYN", "VANN")  # of vignetting: decentres, compressions, angle
 FAR = 1e10  # where an object is at infinity, as OpticStudio takes it
-HOW_TO_GIVE_ZMX = "Or give n_d and V_d in its line: GLAS ___BLANK 1 0 1.5168 64.17."
+HOW_TO_GIVE_ZMX = "Or give those of this glass in its line, as N-BK7's in GLAS ___BLANK 1 0 1.5168 64.17."
 OWN_CATALOGUE = 'A maker\'s catalogue is read with lens.glass_catalogues = ["my.agf"].'
 PLACEHOLDER = (1.5, 40.0)  # n_d and V_d that Zemax writes where it knows none
 MODEL_GLASS, SHIFTED_GLASS = 1, 4  # what a GLAS line says of its glass

@@ -267,8 +267,8 @@ def scene_path(scene: str | os.PathLike[str]) -> Path:
         hint = f"To use a parameter file: pixsim run csf --config {path}"
         raise invalid("scene", f"'{scene}', a TOML file", f"an XML file, or one of {', '.join(packaged_scenes())}", hint)
     if not os.path.lexists(path) or path.is_dir():
-        known, is_path = packaged_scenes(), path.parent != Path() and not path.is_dir()
-        got = missing(path) if is_path else f"'{scene}'"
+        known, is_path = packaged_scenes(), path.parent != Path() or path.suffix
+        got = f"'{scene}', a folder" if path.is_dir() else missing(path) if is_path else f"'{scene}'"
         hint = _hint_of_picture(path) or did_you_mean(str(scene), known)
         raise invalid("scene", got, f"an XML file, or one of {', '.join(known)}", hint)
     return path

@@ -7,7 +7,7 @@ from functools import cache
 from importlib import metadata
 from typing import TYPE_CHECKING
 
-from pixsim.base.errors import invalid, one_line
+from pixsim.base.errors import did_you_mean, invalid, one_line
 from pixsim.base.schema import KEY
 from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, Metric, columns_of_metrics, own_metric
 from pixsim.viewer.raw_metrics import DETECTABILITY, INFORMATION, MTF50, NIIRS, SNR10_LX
@@ -62,7 +62,8 @@ def metrics_named(names: Sequence[NamedOrOwn]) -> tuple[Metric, ...]:
         elif name in (installed := installed_metrics()):
             metric = installed_metric(installed[name])
         else:
-            hint = "A function of your own is given in Python: metrics=[…, my_metric]."
+            own = "A function of your own is given in Python: metrics=[…, my_metric]."
+            hint = f"{did_you_mean(name, [*METRICS, *installed])} {own}".strip()
             raise invalid("metrics", f"'{name}'", f"any of {', '.join([*METRICS, *installed])}", hint)
         if metric.code and metric.name in TAKEN:
             raise invalid("metrics", f"a function '{metric.name}', which is a name of pixsim's", "another name for the function")

@@ -10,7 +10,9 @@ import pytest
 from helpers.commands import assert_refused, command
 from rich.console import Console
 
-from pixsim.base.records import Record
+from pixsim.base.errors import PixsimError
+from pixsim.base.layers import Layer
+from pixsim.base.records import Record, checked
 from pixsim.base.toml import packaged
 from pixsim.cli.commands import with_each_format
 from pixsim.cli.help import COMMON, MANY
@@ -118,6 +120,15 @@ def test_pairs_of_numbers_are_texts_of_options(option: str, record: type[Record]
     """As `pixsim explore` copies them into a command, too."""
     found = getattr(record.model_validate({name: option}), name)
     assert found == tuple(map(float, option.replace(",", " ").split()))
+
+
+def test_one_number_of_a_pair_is_refused_where_it_was_typed() -> None:
+    """The file has both numbers; the option replaces them, and lacks one."""
+    layers = [Layer({"velocity_mm_per_s": [300, 0]}, "belt.toml"), Layer({"velocity_mm_per_s": "300"})]
+    with pytest.raises(PixsimError) as error:
+        checked(Motion, layers)
+    wanted = "velocity_mm_per_s: got a list of 1; allowed: a list of at least 2: velocity [x, y] of the objects, in a plane"
+    assert str(error.value).startswith(wanted)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Real lenses in a camera: against their rays, the thin lens that stands for them, and the closed forms of a thin real lens."""
 
 import math
+import warnings
 from dataclasses import asdict
 from pathlib import Path
 
@@ -47,6 +48,21 @@ def with_lens(file: str, die_mm: float, distance_m: float = 5.0, given: CameraOp
 def lens_of(camera: Camera) -> Lens:
     assert camera.lens is not None
     return traced_lens(camera.lens, camera.object_distance_m)
+
+
+def test_lens_of_the_users_that_is_scaled_to_the_die_is_told(tmp_path: Path) -> None:
+    """A lens that is bought has one focal length; the default, which fits it to the die, would be another lens."""
+    file = tmp_path / "mine.toml"
+    file.write_text(THIN, encoding="utf-8")
+    focal_mm = load_lens_focal(tmp_path)
+    with pytest.warns(UserWarning, match=rf"of {focal_mm:.5g} mm is scaled so .*lens\.focal_length_mm = {focal_mm:.5g} "):
+        scaled = with_lens(str(file), 10.0)
+    assert scaled.lens is not None
+    assert not math.isclose(scaled.lens.focal_length_mm, focal_mm, rel_tol=0.01)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with_lens(str(file), 10.0, focal_length_mm=focal_mm)
+        with_lens("cooke_triplet", 10.0)
 
 
 @pytest.mark.parametrize("file", ["singlet", "cooke_triplet"])

@@ -193,7 +193,15 @@ def test_load_scene_broken_file_raises(tmp_path, content):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(("missing", "folder"), [("csv", ""), ("no/such.xml", r" \(folder 'no' does not exist\)"), (".", "")])
+@pytest.mark.parametrize(
+    ("missing", "folder"),
+    [
+        ("csv", ""),
+        ("my scene.xml", ", which does not exist"),
+        ("no/such.xml", r" \(folder 'no' does not exist\)"),
+        (".", ", a folder"),
+    ],
+)
 def test_load_scene_missing_file_lists_scenes(missing, folder):
     with pytest.raises(
         PixsimError, match=rf"scene: got '{missing}'{folder}; allowed: an XML file, or one of {', '.join(SHIPPED)}\."

@@ -357,7 +357,7 @@ def test_scene_without_the_target_lies_next_to_its_settings(tmp_path: Path, monk
     assert settings_layer(folder / "sensor.toml").table["metric"]["detectability"]["without"] == str(folder / "empty.xml")
     stated = study.model_copy(update={"metric": MetricOptions(detectability={"without": "own/empty.xml"})})
     assert f'without = "{folder / "empty.xml"}"' in settings_text(stated, "again")
-    with pytest.raises(PixsimError, match=r"without.*: scene: got 'none.xml'; allowed: an XML file, or one of csf"):
+    with pytest.raises(PixsimError, match=r"without.*: scene: got 'none.xml', which does not exist; allowed: an XML file"):
         prepare(tiny(metrics=["detectability"], metric={"detectability": {"without": "none.xml"}}))
 
 

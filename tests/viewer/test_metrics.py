@@ -482,6 +482,7 @@ def mine(score: Any) -> float:
 @pytest.mark.parametrize(
     ("names", "message"),
     [
+        (["detectabilty"], r"allowed: any of delta_e, .*Did you mean 'detectability'\? A function"),
         (["sharpness"], r"metrics: got 'sharpness'; allowed: any of delta_e, detectability, .*Python"),
         (["delta_e", "delta_e"], r"'delta_e' twice"),
         ([], r"metrics: got none"),
