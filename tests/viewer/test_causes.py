@@ -291,7 +291,7 @@ def test_study_names_the_cause_in_its_headline(tmp_path: Path) -> None:
 def test_comparison_names_the_cause_in_its_headline(tmp_path: Path) -> None:
     files = [sheet(tmp_path / "good.toml"), sheet(tmp_path / "coarse.toml")]
     files[1].write_text(files[1].read_text(encoding="utf-8").replace("full_well_e = 10000", "full_well_e = 1e10"), encoding="utf-8")
-    result = pixsim.compare(files, display={"dots": 48}, resolution=48, repeats=3, jobs=1)
+    result = pixsim.compare(files, display={"dots": 48}, resolution=128, repeats=3, jobs=1)
     good, coarse = result.sensors
     assert good.causes == ()
     (cause,) = coarse.causes
