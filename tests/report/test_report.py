@@ -150,9 +150,11 @@ def test_study_result_repr_without_optimum(made: tuple[StudyResult, Path]) -> No
 def test_figures_of_the_paper_have_its_numbers(made: tuple[StudyResult, Path]) -> None:
     """In their names and captions, and among the files that a report may replace."""
     study = made[0].study.model_copy(update={"paper": True})
-    plates = plates_of_curves(replace(made[0], study=study, curves=made[0].curves[:1] * 2), made[0].curves[0])
-    assert [plate.name for plate in plates] == ["figure_7_delta_e_against_pitch", "figure_8_delta_e_against_pitch_all"]
-    assert [plate.caption.split(":")[0] for plate in plates] == ["Figure 7", "Figure 8"]
+    first = made[0].curves[0]
+    plates = plates_of_curves(replace(made[0], study=study, curves=(first, replace(first, feature_size_um=0.25))), first)
+    of_paper = {"7": "delta_e_against_pitch", "8": "delta_e_against_pitch_all", "9": "optimum_against_technology"}
+    assert [plate.name for plate in plates] == [f"figure_{number}_{name}" for number, name in of_paper.items()]
+    assert [plate.caption.split(":")[0] for plate in plates] == ["Figure 7", "Figure 8", "Figure 9"]
     assert {f"figures/{plate.name}.{suffix}" for plate in plates for suffix in ("svg", "csv", "pdf")} <= report_files(study)
 
 
