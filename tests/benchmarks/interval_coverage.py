@@ -1,13 +1,15 @@
 """Coverage of the 95 % interval of the optimum by simulation: tests/data/interval_coverage.csv.
 
-    python tests/benchmarks/interval_coverage.py [--studies 1000] [--jobs 2] [--out FILE] [--steep]
+    python tests/benchmarks/interval_coverage.py [--studies 1000] [--jobs 2] [--out FILE] [--steep | --beside-an-end]
 
 The known curves are fits to the data of dense_sweeps.py. Each simulated study samples them with other pitches (one from each
 equal part of the range in log pitch), residuals and noise. Blocks: `fixed`, a study without a target, which adds a few pitches and
 sensors where its interval has an open end; `loud`, the same where one of the sizes scatters four times as much as the others, as
 one that agrees with the dots; `fixed` for a curve that falls to the end of the range (`at_the_end`), whose interval must be open;
 and `rounds`, which add pitches and sensors, as a study with target_ci_um does, until the interval is short enough. With --steep
-`fixed` and `rounds` are run for curves with a steep flank, into a file of their own.
+`fixed` and `rounds` are run for curves with a steep flank, into a file of their own. --beside-an-end prints the coverage of studies
+whose best size is 1.5 % above the smallest possible one, with 12 sizes in equal ratios from there and 3 sensors, which close an
+open end by more of them.
 """
 
 from __future__ import annotations
@@ -99,6 +101,17 @@ def rounds_cell(curve: str, pitches: int, repeats: int, studies: int, target_um:
     return row_of("rounds", curve, pitches, repeats, records, (time.perf_counter() - start) / studies)
 
 
+def beside_an_end(studies: int) -> str:
+    """Text on the coverage of studies that close an open end beside their best size."""
+    truth, missed = truth_of("beside_an_end"), 0
+    sizes_um = np.geomspace(*np.exp(truth.log_pitch[[0, -1]]), 12).tolist()
+    for number in range(studies):
+        study = SimulatedStudy(truth, np.random.default_rng(number))
+        sensors, fit = study.refined(dict.fromkeys(sizes_um, 3), MAX_SENSORS)
+        missed += not covers(fit.optimum, truth, np.array(list(sensors)))
+    return f"beside an end: {1 - missed / studies:.3f} of {studies} studies"
+
+
 def pooled(rows: Iterable[dict[str, Any]]) -> str:
     """Text on the coverage of several cells."""
     rows = list(rows)
@@ -113,6 +126,9 @@ def pooled(rows: Iterable[dict[str, Any]]) -> str:
 
 def main() -> None:
     options = simulation_options(1000, OUT, OUT_STEEP)
+    if options.beside_an_end:
+        print(beside_an_end(options.studies))
+        return
     curves = tuple(STEEP) if options.steep else (*CURVES, AT_THE_END)
     few = max(1, round(ROUNDS_SHARE * options.studies))
     # Multi-threaded BLAS is several times slower for matrices of this size.

@@ -204,6 +204,7 @@ def simulation_options(studies: int, out: Path | None, out_steep: Path | None = 
     parser.add_argument("--out", type=Path)
     if out_steep:
         parser.add_argument("--steep", action="store_true", help="of curves with a steep flank")
+        parser.add_argument("--beside-an-end", action="store_true", help="of the best size beside the smallest possible one, alone")
     options = parser.parse_args()
     options.out = options.out or (out_steep if out_steep and options.steep else out)
     return options
