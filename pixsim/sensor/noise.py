@@ -8,9 +8,9 @@ them: it is the Poisson law of light and dark charge, and the only temporal nois
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
@@ -32,8 +32,7 @@ class NoiseSource:
     along : who shares a value: no two pixels; the pixels of a row, of temporal noise; or those of a column, of a fixed pattern
     grows_with : 'light' or 'dark' charge; empty: with neither
     is_rare : whether few sensors have it, so that lists leave it out where it is 0
-    drawn_from : of a pattern that grows, numbers of `PixelPhysics` from which `sample_sensor` draws its map, with the values that
-        they have without it
+    undrawn : of a pattern that grows, the pixel without the numbers from which `sample_sensor` draws its map
 
     Raises PixsimError for a source that would stand in lists and closed forms, but in no frame.
     """
@@ -44,7 +43,7 @@ class NoiseSource:
     along: Along = "pixel"
     grows_with: Literal["", "light", "dark"] = ""
     is_rare: bool = False
-    drawn_from: Mapping[str, Any] = field(default_factory=dict, compare=False)
+    undrawn: Callable[[PixelPhysics], PixelPhysics] | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         kind = "temporal noise" if self.is_temporal else "a fixed pattern"
@@ -59,10 +58,8 @@ class NoiseSource:
         if self.is_temporal or self.along != "pixel":
             allowed = "temporal noise that does not grow, or a fixed pattern of single pixels"
             raise invalid(where, got, allowed, "docs/first_change.md lists what such a noise changes beside its line.")
-        if not self.drawn_from:
-            hint = (
-                "State in drawn_from the numbers of PixelPhysics from which sample_sensor (pixsim/sensor/readout.py) draws its map."
-            )
+        if self.undrawn is None:
+            hint = "State in undrawn the PixelPhysics without the numbers that sample_sensor (pixsim/sensor/readout.py) draws from."
             raise invalid(where, f"{got}, without a map", "one with a map", hint)
 
     def of_frame(self, physics: PixelPhysics) -> float:
@@ -83,8 +80,10 @@ SOURCES = (
     NoiseSource(
         "row noise", lambda p: number_of(p.pixel, p.technology, "row_noise_e"), is_temporal=True, along="row", is_rare=True
     ),
-    NoiseSource("PRNU", lambda p: p.prnu, grows_with="light", drawn_from={"prnu": 0.0}),
-    NoiseSource("DSNU", lambda p: p.dark_spread.deviation, grows_with="dark", drawn_from={"dsnu": 0.0, "hot_pixel_fraction": 0.0}),
+    NoiseSource("PRNU", lambda p: p.prnu, grows_with="light", undrawn=lambda p: replace(p, prnu=0.0)),
+    NoiseSource(
+        "DSNU", lambda p: p.dark_spread.deviation, grows_with="dark", undrawn=lambda p: replace(p, dsnu=0.0, hot_pixel_fraction=0.0)
+    ),
     NoiseSource("offset FPN", lambda p: p.offset_fpn_e),
     NoiseSource("column FPN", lambda p: p.column_fpn_e, along="column"),
 )
@@ -142,7 +141,8 @@ def variances_e2(physics: PixelPhysics, *, light_e: Array | float = 0.0, dark_e:
 def without_source(physics: PixelPhysics, name: str) -> PixelPhysics:
     """Return a pixel without one of its `SOURCES`, by its name; all others are drawn as before, but for their random numbers."""
     (source,) = (each for each in SOURCES if each.name == name)
-    return replace(physics, silent=(*physics.silent, name), **source.drawn_from)
+    silent = replace(physics, silent=(*physics.silent, name))
+    return silent if source.undrawn is None else source.undrawn(silent)
 
 
 def signal_at_snr_e(wanted: float, dark_variance_e2: float, gain_spread: float) -> float:
