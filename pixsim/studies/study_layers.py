@@ -61,12 +61,12 @@ def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | 
     overrides = [Layer(_as_study_table(layer.table), layer.source) for layer in files]
     overrides += [Layer(derived, source), Layer(_without_sensor_only(options))]
     overriding = merged(overrides)
-    table = _with_range(study.table, overriding)
+    table = _with_light(_with_range(study.table, overriding), overriding)
     # The parameters of the study are those of its own scene.
     kept = dict if overriding.get("scene", {}).get("file") is None else _without_parameters
     table = kept(table)
     if isinstance(quick := table.get("quick"), dict):
-        table["quick"] = _without(_with_range(kept(quick), overriding), overriding)
+        table["quick"] = _without(_with_light(_with_range(kept(quick), overriding), overriding), overriding)
     if isinstance(sources := table.get("sources"), dict):
         table["sources"] = {name: source for name, source in sources.items() if not Layer(overriding).names(name.split("."))}
     layers = [Layer(table, study.source), *overrides]
@@ -88,6 +88,19 @@ def _with_range(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, 
         return dict(table)
     void = {name for name, others in REPLACED_RANGE.items() if name not in given and any(other in given for other in others)}
     return table | {"pitch": {name: value for name, value in pitch.items() if name not in void}}
+
+
+def _with_light(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, Any]:
+    """A study's table without the luminance of its scene where an overriding one states the illuminance, or the other way round."""
+    from pixsim.scene.illuminance import ILLUMINANCE
+    from pixsim.scene.scene import LUMINANCE
+
+    scene, given = table.get("scene"), overriding.get("scene", {}).get("parameters", {})
+    if not (isinstance(scene, dict) and isinstance(own := scene.get("parameters"), dict) and isinstance(given, dict)):
+        return table
+    stated = given.keys() & {ILLUMINANCE, LUMINANCE}
+    void = {ILLUMINANCE, LUMINANCE} - stated if stated else set()
+    return table | {"scene": scene | {"parameters": {name: value for name, value in own.items() if name not in void}}}
 
 
 def with_data_sheets(layers: list[Layer], pixel_options: dict[str, Any]) -> list[Layer]:

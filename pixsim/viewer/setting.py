@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Annotated, Any, Self
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
 
 from pixsim.base.layers import Layer
 from pixsim.base.notes import warn
@@ -124,6 +124,14 @@ class Run(Setting):
         default_factory=dict, description="values of the scene's <default> parameters, as -D sets them"
     )
     pixel: Annotated[Pixel, OF_PIXEL] = Field(Pixel(), description="pixel of the sensor")
+
+    @field_validator("scene", mode="before")
+    @classmethod
+    def _parameters_stand_alone(cls, scene: object) -> object:
+        """A study's file has them in a table of their own, beside the scene's file; here they are all that there is."""
+        if isinstance(scene, dict) and (tables := [name for name, value in scene.items() if isinstance(value, dict)]):
+            raise ValueError(f"got a table, scene.{tables[0]}; allowed: numbers and texts. State parameters as scene.lux = 500")
+        return scene
 
     @model_validator(mode="after")
     def _frame_can_be_developed(self) -> Self:

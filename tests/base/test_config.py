@@ -291,6 +291,21 @@ def test_quantum_efficiency_pairs_equal_file(sheet: Path) -> None:
 # --- Precedence of study, files and options -------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(("stated", "kept"), [("lux", {"lux": 500.0}), ("luminance_cd_per_m2", {"luminance_cd_per_m2": 500.0})])
+def test_illuminance_of_the_user_replaces_the_luminance_of_a_study(tmp_path, stated, kept):
+    """By a file's [scene] and by an option; `pixel-size` states a luminance."""
+    path = written(tmp_path / "light.toml", f"[scene]\n{stated} = 500.0\n")
+    option = {"scene": {"parameters": {stated: 500.0}}}
+    for layers in (study_layers(read_study("pixel-size"), [path]), study_layers(read_study("pixel-size"), [], option)):
+        assert checked_study(layers).scene.parameters == kept
+
+
+def test_parameters_in_a_table_of_their_own_are_told_where_they_stand(tmp_path):
+    path = written(tmp_path / "light.toml", "[scene]\nparameters = { lux = 500 }\n")
+    with pytest.raises(PixsimError, match=r"scene: got a table, scene.parameters; .* State parameters as scene.lux = 500"):
+        study_layers(read_study("pixel-size"), [path])
+
+
 def test_study_layers_files_and_options_override_quick(tmp_path: Path) -> None:
     """[quick] of `modern` sets a technology, which must not replace the data sheet."""
     paths = [written(tmp_path / "sensor.toml", SHEET)]
