@@ -52,7 +52,7 @@ class Exposure(Record):
     flicker_depth: Annotated[float, Field(ge=0, le=1)] | None = Field(
         None, description="modulation of light that flickers, as a sine: (most - least)/(most + least)"
     )
-    flicker_phase_deg: Annotated[float, Field(ge=-360, le=360)] | None = Field(
+    flicker_phase_deg: Annotated[float, Field(ge=0, le=360)] | None = Field(
         None,
         description="phase of the flicker at mid exposure of the middle row, 0 where it is brightest "
         "(absent: drawn for each frame)",

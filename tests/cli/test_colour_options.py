@@ -41,7 +41,7 @@ FILES = {
     "dark.csv": table(of=lambda number, x: curve(number, x) * (number != 2)),
     "gap.csv": table(nm=[x for x in NM if not 480 < x < 540]),
     "short.csv": table(nm=range(450, 701, 10)),
-    "alike.csv": table(of=lambda number, x: 0.5 * float(np.exp(-(((x - 570 + 25 * number) / 150) ** 2)))),
+    "alike.csv": table(nm=range(380, 831, 10), of=lambda number, x: 0.5 * float(np.exp(-(((x - 570 + 25 * number) / 150) ** 2)))),
     "same.csv": table(of=lambda number, x: curve(1, x)),
 }
 GOOD = {"quantum_efficiencies": "good.csv"}

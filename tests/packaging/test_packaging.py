@@ -101,7 +101,7 @@ def test_wheel_contains_package_and_scenes_only(shipped: dict[str, Path]):
     data = ("style.css.j2", "technologies/0.35um.toml", "studies/chen2000.toml")
     assert {"pixsim/py.typed", *(f"pixsim/data/{name}" for name in data)} <= expected
     assert {f"pixsim/data/scenes/{name}" for name in ("csf.xml", "charts/csf.exr", "spectra/macbeth/01_dark_skin.spd")} <= scenes
-    licences = ("LICENSE", "pixsim/data/camera_sensitivities/LICENSE", "pixsim/data/camera_sensitivities/NOTICE")
+    licences = PROJECT["license-files"]
     metadata = {f"{info}/{name}" for name in ("METADATA", "WHEEL", "RECORD", "entry_points.txt")}
     metadata |= {f"{info}/licenses/{name}" for name in licences}
     assert names == expected | scenes | metadata  # neither tests nor caches
