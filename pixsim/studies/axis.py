@@ -38,6 +38,14 @@ from pixsim.studies.varied import (
 )
 from pixsim.viewer.merging import merge
 
+# How a study varies what an axis may not be named after.
+HINTS_OF_COLUMNS = {
+    "technology": (
+        'Several are stated by technologies = ["0.35um", "0.18um"], in the file of a study or in Python; one by --pixel.technology.'
+    ),
+    "pitch": "Every study varies the pixel size, by its table [pitch] and --pitch.min-um, --pitch.max-um and --pitch.count.",
+}
+
 
 def _axis_number(value: object) -> object:
     if isinstance(value, bool) or not isinstance(value, float | int | str) or value == "":
@@ -119,7 +127,8 @@ class Axis(Record):
     @model_validator(mode="after")
     def _has_values(self) -> Self:
         if self.name in NOT_NAMES:
-            raise ValueError(f"name: '{self.name}' is a column of every study; allowed: another name")
+            hint = HINTS_OF_COLUMNS.get(self.name, "")
+            raise ValueError(f"name: '{self.name}' is a column of every study; allowed: another name{hint and '. '}{hint}")
         ends = {"from (in Python first)": self.first, "to": self.to, "count": self.count}
         given = [name for name, value in ends.items() if value is not None]
         if self.range_of is not None:
