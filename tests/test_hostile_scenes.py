@@ -228,7 +228,7 @@ REFUSED = {
     "a plugin of another kind": ('<shape type="diffuse"/>', "shape: got 'diffuse'"),
     "an unknown property": ('<bsdf type="diffuse"><float name="reflectanse" value="1"/></bsdf>', "Did you mean 'reflectance'"),
     "a property of another plugin": ('<bsdf type="diffuse"><float name="alpha" value="1"/></bsdf>', "a <float> .* is 'alpha'"),
-    "a camera of Mitsuba alone": ('<sensor type="irradiancemeter"/>', "thinlens.* Others may stand beside it; pixsim takes no"),
+    "a camera of Mitsuba alone": ('<sensor type="irradiancemeter"/>', "thinlens.* may stand beside it, and is not used"),
     "an include that is not there": ('<include filename="lamp.xml"/>', "lamp.xml', which does not exist, in line 1 of 'scene.xml'"),
     "a property of another type": ('<bsdf type="twosided"><string name="x" value="y"/></bsdf>', "twosided: got a <string>"),
     "text for a number": ('<shape type="sphere"><string name="radius" value="1"/></shape>', "sphere.radius: got <string>"),

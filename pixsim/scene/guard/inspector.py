@@ -41,7 +41,7 @@ ATTRIBUTES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 REASONS = {
     "integrator": 'Write <integrator type="path"/>; polarisation, depth and AOVs are not irradiance.',
     "sensor": 'Write <sensor type="thinlens"> with fov, and with focus_distance and aperture_radius in metres '
-    "(any, such as 0.001, if you set --camera.f-number). Others may stand beside it; pixsim takes no picture with them.",
+    "(any, such as 0.001, if you set --camera.f-number). A perspective or orthographic one may stand beside it, and is not used.",
 }
 OF_OBJECTS = ("type",), ("id", "name")
 STEPS_OF_TRANSFORM = ("translate", "rotate", "scale", "lookat", "matrix")
