@@ -337,7 +337,7 @@ def _within(array: Any, bounds: Bounds) -> Any:
 
 
 def _any_of(hint: object, bounds: Bounds | None) -> Check:
-    """One of several kinds; the message is that of the last, which is the most general."""
+    """One of several kinds; the message names all, or the part at fault of a table or list that is of one."""
     from numpy.typing import ArrayLike
 
     kinds = [kind for kind in get_args(hint) if kind is not NoneType]
@@ -349,12 +349,16 @@ def _any_of(hint: object, bounds: Bounds | None) -> Check:
     checks = [check_of(kind, bounds) for kind in kinds]
 
     def check(name: str, value: object) -> object:
-        allowed = []
+        allowed, of_parts = [], []
         for one in checks:
             try:
                 return one(name, value)
             except PixsimError as error:
+                if str(error).startswith(f"{name}["):
+                    of_parts.append(error)
                 allowed.append(str(error).rpartition("allowed: ")[2].removesuffix("."))
+        if len(of_parts) == 1:  # the one kind that the whole is of
+            raise of_parts[0]
         raise invalid(name, brief(value), ", or ".join([*allowed, *(["None"] if optional else [])]))
 
     return _optional(check if len(checks) > 1 else checks[0], optional)

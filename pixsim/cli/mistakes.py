@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import difflib
+import re
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
@@ -31,7 +33,7 @@ def refusal(error: CycloptsError) -> str:
         text = f"{command}: got --out, which is for folders; allowed: {', '.join(sorted(options))}. {hint}"
     elif isinstance(error, UnknownOptionError) and error.token.keyword:
         name = error.token.keyword.partition("=")[0]
-        if hint := hint_of_option(name, options) or ("" if "Did you mean" in text else hint_of_parameter(name, options)):
+        if hint := hint_of_option(name, options) or ("" if has_near_option(name, text) else hint_of_parameter(name, options)):
             text = f"Unknown option: {name}. {hint}"
     return f"{text}\nTry 'pixsim{command and ' '}{command} --help'."
 
@@ -81,6 +83,12 @@ def hint_of_option(name: str, options: set[str]) -> str:
     begun = sorted(option for option in options if option.startswith(f"{name}-"))
     known = [option for option in meant if option in options] or begun
     return f"Did you mean {' or '.join(known)}?" if known else ""
+
+
+def has_near_option(name: str, text: str) -> bool:
+    """Whether the option that Cyclopts proposes in its message is similar without the dashes, which it compares too."""
+    proposed = re.search(r"Did you mean (--[\w.-]+)", text)
+    return bool(proposed and difflib.get_close_matches(name.lstrip("-"), [proposed[1].lstrip("-")]))
 
 
 def hint_of_folder(words: Sequence[str], options: set[str]) -> str:

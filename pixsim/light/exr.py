@@ -394,7 +394,8 @@ def read_exr(path: str | os.PathLike[str]) -> SpectralImage:
     """
     channels, header = read_channels(path)
     if "pixsim" not in header or header.get("emissiveUnits") != "W.m^-2.nm^-1":
-        raise invalid("irradiance file", f"'{path}', which has no pixsim header", "a file from pixsim.write_exr")
+        hint = "pixsim.read_irradiance reads light of another program."
+        raise invalid("irradiance file", f"'{path}', which has no pixsim header", "a file from pixsim.write_exr", hint)
     try:
         metadata = checked_own(json.loads(header["pixsim"]))
         bands = metadata["wavelength_nm"], metadata["band_width_nm"], metadata["pitch_um"]

@@ -192,7 +192,10 @@ def read_spectral_exr(path: Path) -> Cube:
         if not edges_nm:
             centre_nm = {name: float(match[1].replace(",", ".")) for name in names if (match := CENTRE.fullmatch(name))}
     if not centre_nm:
-        hint = 'RGB is not a spectrum. Render spectrally, in pbrt-v4 with Film "spectral".'
+        hint = (
+            'RGB is not a spectrum. Render spectrally, in pbrt-v4 with Film "spectral"; of a Mitsuba scene pixsim takes '
+            "the XML, and renders it itself."
+        )
         named = "one channel per wavelength, with names such as S0.550,0nm, 550nm or 540.00-560.00nm"
         raise invalid("spectral EXR", channel_list, named, "" if _is_not_rgb(names) else hint)
     window, whole = header["dataWindow"], header["displayWindow"]

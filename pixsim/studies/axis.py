@@ -38,6 +38,10 @@ from pixsim.studies.varied import (
 )
 from pixsim.viewer.merging import merge
 
+SEVERAL_TECHNOLOGIES = (  # how a study varies what no axis may be named after
+    'Several are stated by technologies = ["0.35um", "0.18um"], in a study\'s file or in Python; one by --pixel.technology'
+)
+
 
 def _axis_number(value: object) -> object:
     if isinstance(value, bool) or not isinstance(value, float | int | str) or value == "":
@@ -119,7 +123,8 @@ class Axis(Record):
     @model_validator(mode="after")
     def _has_values(self) -> Self:
         if self.name in NOT_NAMES:
-            raise ValueError(f"name: '{self.name}' is a column of every study; allowed: another name")
+            hint = f". {SEVERAL_TECHNOLOGIES}" if self.name == "technology" else ""
+            raise ValueError(f"name: '{self.name}' is a column of every study; allowed: another name{hint}")
         ends = {"from (in Python first)": self.first, "to": self.to, "count": self.count}
         given = [name for name, value in ends.items() if value is not None]
         if self.range_of is not None:

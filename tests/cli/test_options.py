@@ -212,6 +212,8 @@ def test_with_each_format_leaves_other_words() -> None:
         ("run csf --pixel-size 3", "Did you mean --pixel.pitch-um?"),
         ("run csf -o there", "Unknown option: -o. Did you mean --out?"),
         ("run csf --linaer", "Did you mean --linear?"),  # by Cyclopts
+        ("study chen2000 --luminance 100", "A parameter of the scene goes after -D: -D luminance=VALUE"),  # not --linear
+        ("study chen2000 --axis technology=0.35um,0.18um", 'Several are stated by technologies = ["0.35um", "0.18um"]'),
         ("lens phone --spp 4", "Unknown option: --spp.\nTry 'pixsim lens --help'"),
         ("run csf --resolution 640x480", "The sensor's columns and rows are pixels in [camera]"),
         ("run csf --exposure.max-integration-s 50ms", "allowed: a valid number. Write 0.05, which is in s."),

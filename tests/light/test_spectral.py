@@ -346,6 +346,13 @@ def test_read_exr_foreign_header_raises(tmp_path, header):
         pixsim.read_exr(tmp_path / "image.exr")
 
 
+def test_read_exr_of_another_program_names_its_reader(tmp_path):
+    write_channels(tmp_path / "image.exr", dict.fromkeys(("540nm", "550nm"), np.ones((2, 2))), {"emissiveUnits": "W.m^-2.nm^-1"})
+    with pytest.raises(PixsimError, match=r"no pixsim header.* pixsim\.read_irradiance reads light of another program"):
+        pixsim.read_exr(tmp_path / "image.exr")
+    assert pixsim.read_irradiance(tmp_path / "image.exr", pitch_um=1.0).data.shape == (2, 2, 2)
+
+
 @pytest.mark.parametrize("where", ["no/such/folder/image.exr", "a_file/image.exr", "a_folder"])
 def test_write_exr_unwritable_path_raises_and_leaves_files(tmp_path, where):
     (tmp_path / "a_file").write_text("kept")

@@ -253,7 +253,14 @@ def test_read_spectral_exr_polarised_reflectance_or_rgb_raises(tmp_path):
     refused(exr(tmp_path / "b.exr", stokes(data) | zeros | {"S2.500nm": dark - 1}, **units), "polarised light", "S2.500nm")
     refused(exr(tmp_path / "c.exr", {"T.500nm": dark + 1, **stokes(data)}, **units), "reflectances", "T.500nm", "Render")
     rgb = exr(tmp_path / "d.exr", dict.fromkeys("RGB", dark + 1), **units)
-    refused(rgb, "the channels B, G, R", "S0.550,0nm", "RGB is not a spectrum", 'Film "spectral"')
+    refused(
+        rgb,
+        "the channels B, G, R",
+        "S0.550,0nm",
+        "RGB is not a spectrum",
+        'Film "spectral"',
+        "of a Mitsuba scene pixsim takes the XML",
+    )
     many = exr(tmp_path / "e.exr", {f"layer.{index:02}": dark for index in range(40)})
     refused(many, "layer.11 … in")
 

@@ -13,6 +13,7 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
+import pixsim
 from pixsim.light.spectral import SpectralImage, d65
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import LENS_HEADER, Tiling, camera_with_lens, without_lens
@@ -165,6 +166,15 @@ def test_system_mtf_weighs_wavelengths_by_electrons() -> None:
     frequency = np.linspace(0, 400, 9)
     item = [diffraction_otf(frequency, one, SLOW.effective_f_number) for one in nm]
     np.testing.assert_allclose(system_mtf(result, speck, frequency), (450 * item[0] + 650 * item[1]) / 1100, atol=1e-7)
+
+
+def test_white_of_the_chart_is_display_white_at_any_luminance() -> None:
+    display = load_study("chen2000").display.model_copy(update={"dots": 64})
+    ideals = []
+    for luminance_cd_per_m2 in (100.0, 1000.0):
+        scene = pixsim.load_scene("csf", resolution=64, luminance_cd_per_m2=luminance_cd_per_m2)
+        ideals.append(pixsim.evaluate(pixsim.render(scene, Camera()), Camera(), Pixel(pitch_um=42.4), display=display).ideal)
+    assert ideals[0] == pytest.approx(ideals[1], abs=0.02)  # two codes of 8 bits at white; a fixed white gives a tenth of it
 
 
 def chen2000(spectrum: Array | None = None, **display: object) -> tuple[Known, Pixel]:

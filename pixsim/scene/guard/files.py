@@ -195,7 +195,7 @@ def _read(path: Path, scene: SceneFiles, includes_deep: int, deep: int) -> Scene
         if tag == "default":
             _take_default(attributes, path, scene)
         elif tag == "include":
-            file = _included(attributes.get("filename", ""), written.get("filename", ""), path, scene, includes_deep)
+            file = _included(attributes.get("filename", ""), written.get("filename", ""), path, line, scene, includes_deep)
             root = _read(file, scene, includes_deep + 1, deep + len(open_elements) - 1)
             if root.tag != "scene":  # an object takes the name that the include gives it
                 named = {key: value for key, value in root.attributes.items() if key not in ("version", "name")}
@@ -269,7 +269,7 @@ def _take_folder(name: str, path: Path, scene: SceneFiles) -> None:
     scene.folders.insert(0, Path(os.path.abspath(folder)))
 
 
-def _included(name: str, written: str, path: Path, scene: SceneFiles, includes_deep: int) -> Path:
+def _included(name: str, written: str, path: Path, line: int, scene: SceneFiles, includes_deep: int) -> Path:
     """Return the file that Mitsuba would include, from the folder of the including file, the scene, or the working directory."""
     scene._includes += 1
     if scene._includes > MAX_INCLUDES or includes_deep >= MAX_INCLUDE_DEPTH:
@@ -286,6 +286,9 @@ def _included(name: str, written: str, path: Path, scene: SceneFiles, includes_d
             f"files in '{scene.folder}' and its subfolders",
             hint,
         )
+    if not os.path.lexists(file):
+        got = f"an <include> of '{file}', which does not exist, in line {line} of '{path.name}'"
+        raise invalid("scene", got, f"a file in '{scene.folder}', the working directory or their subfolders")
     return file
 
 

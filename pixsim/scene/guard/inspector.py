@@ -41,7 +41,7 @@ ATTRIBUTES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 REASONS = {
     "integrator": 'Write <integrator type="path"/>; polarisation, depth and AOVs are not irradiance.',
     "sensor": 'Write <sensor type="thinlens"> with fov, and with focus_distance and aperture_radius in metres '
-    "(any, such as 0.001, if you set --camera.f-number).",
+    "(any, such as 0.001, if you set --camera.f-number). A perspective or orthographic one may stand beside it, and is not used.",
 }
 OF_OBJECTS = ("type",), ("id", "name")
 STEPS_OF_TRANSFORM = ("translate", "rotate", "scale", "lookat", "matrix")
@@ -196,7 +196,7 @@ class _Inspector:
                 self.references.append((owner, node.attributes["id"], kinds, rule is not None and rule.is_share, node))
                 return node
             if kind not in kinds:
-                self.unknown(name, node, parent, plugin, f"<{node.tag}>" + (f" whose name is {excerpt(name)}" if name else ""))
+                self.unknown(name, node, parent, plugin, f"<{node.tag}>" + (f" whose name is {quoted(name)}" if name else ""))
             self.children[owner].append(len(self.kinds))
             self.shares += [len(self.kinds)] if rule and rule.is_share else []
             return self.object(node, kind)
@@ -207,7 +207,7 @@ class _Inspector:
             )
         _check_attributes(node, *ATTRIBUTES[kind])
         if rule is None:
-            self.unknown(name, node, parent, plugin, f"a <{node.tag}> whose name is {excerpt(name)}")
+            self.unknown(name, node, parent, plugin, f"a <{node.tag}> whose name is {quoted(name)}")
             raise AssertionError
         what = f"{node.parameter} ({parent}.{name})" if node.parameter else f"{parent}.{name}"
         if kind not in rule.tags:
@@ -304,7 +304,7 @@ def _check_attributes(node: SceneElement, needed: Iterable[str], others: Iterabl
         allowed = ", ".join((*needed, *others))
         raise invalid(
             f"<{node.tag}> in {node.place}",
-            f"an attribute whose name is {excerpt(wrong[0])}",
+            f"an attribute whose name is {quoted(wrong[0])}",
             allowed,
             did_you_mean(wrong[0], (*needed, *others)),
         )
