@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +11,13 @@ import pytest
 
 import pixsim
 from pixsim.light.exr import write_exr
+from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import render
 from pixsim.scene.scene import load_scene, sensor_node
 from pixsim.scene.white_plate import distance_of_plate_m, place_of_plate
 from pixsim.sensor.pixel import derive
 from pixsim.studies.light_level import LightLevel
+from pixsim.viewer.display import white_light
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.score import SeenPicture, white_header
 
@@ -76,19 +79,27 @@ def test_plate_in_even_light_has_the_radiance_of_the_light(tmp_path: Path) -> No
 
 def test_packaged_checker_takes_its_stated_white() -> None:
     """Each of its lamps gives a perfect diffuser 1000 cd/m²."""
-    light = render(load_scene("macbeth", resolution=16), diffuser=True)
+    scene = load_scene("macbeth", resolution=16)
+    light = render(scene, diffuser=True)
     white = white_header(
         [SeenPicture(light, pixsim.Camera(), derive(pixsim.Pixel()))], Display(white="diffuser", diffuser_reflectance=0.5)
     )
     assert white["luminance_cd_per_m2"] == pytest.approx(500, rel=1e-4)
 
 
+def test_plan_names_the_plate_as_the_light_of_white() -> None:
+    """As what is rendered by it does."""
+    scene, camera = load_scene("macbeth", resolution=16), pixsim.Camera()
+    plans = [make_render_plan(replace(scene, diffuser=diffuser), camera) for diffuser in (False, True)]
+    assert [plan.light_of_white for plan in plans] == ["the scene's lamp", white_light(render(scene, camera, diffuser=True))[1]]
+
+
 def test_texel_value_1_is_the_white_of_an_emissive_chart() -> None:
     """As by default; in place of the white that the file of a target states, twice as bright."""
-    own, asked = (
-        pixsim.run("csf", pixel={"pitch_um": 84.8}, resolution=32, display={"dots": 32, **white})
-        for white in ({}, {"white": "diffuser", "diffuser_reflectance": 0.5})
-    )
+    display = {"dots": 32, "white": "diffuser", "diffuser_reflectance": 0.5}
+    own = pixsim.run("csf", pixel={"pitch_um": 84.8}, resolution=32, display={"dots": 32})
+    with pytest.warns(UserWarning, match="diffuser_reflectance is not used: white is texel value 1"):
+        asked = pixsim.run("csf", pixel={"pitch_um": 84.8}, resolution=32, display=display)
     np.testing.assert_array_equal(own.score.ideal, asked.score.ideal)
     assert own.mean_delta_e == asked.mean_delta_e
     target = pixsim.run("target", pixel={"pitch_um": 84.8}, resolution=32, display={"dots": 32, "white": "diffuser"})
