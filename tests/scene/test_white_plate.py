@@ -11,6 +11,7 @@ import pytest
 
 import pixsim
 from pixsim.light.exr import write_exr
+from pixsim.scene.convergence import render_until
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import render
 from pixsim.scene.scene import load_scene, sensor_node
@@ -147,6 +148,18 @@ def test_plate_without_light_is_refused(tmp_path: Path) -> None:
         pixsim.PixsimError, match=r"a white plate 0\.998 m before the lens, which faces it, gets no light.*State the"
     ):
         render(load_scene(path).with_resolution(16), diffuser=True)
+
+
+def test_time_limit_that_ends_a_render_leaves_the_plate(tmp_path: Path) -> None:
+    """The plate comes first: with a target that nothing meets, no time is left behind the picture."""
+    scene = replace(load_scene(scene_file(tmp_path, DIRECTIONAL, BOARD)).with_resolution(16), diffuser=True)
+    plan = make_render_plan(scene, scene.camera())
+    asked = scene, scene.camera(), plan, [pixsim.Pixel(**PIXEL)], pixsim.Exposure(), 0
+    with pytest.warns(UserWarning, match="the time limit of 0.001 s"):
+        light, noise = render_until(*asked, render_noise=1e-9, max_seconds=1e-3)
+    assert noise.ended_by == "max_seconds"
+    radiance = np.array(light.header["diffuser"]["w_per_m2_sr_nm"]) @ light.band_width_nm
+    assert radiance == pytest.approx(IRRADIANCE * math.cos(math.pi / 4) / math.pi, rel=1e-4)
 
 
 def test_two_whites_are_refused() -> None:
