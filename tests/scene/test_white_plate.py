@@ -150,6 +150,22 @@ def test_plate_without_light_is_refused(tmp_path: Path) -> None:
         render(load_scene(path).with_resolution(16), diffuser=True)
 
 
+def test_each_sensor_of_a_comparison_has_the_plate_in_its_own_light(tmp_path: Path) -> None:
+    """Of a lamp from 810 to 830 and from 840 to 860 nm, the light of a sensor whose filter ends at 828 nm has the first part."""
+    lamp = DIRECTIONAL.replace(BAND_NM, f"809:0, 810:0.5, 829:0.5, 830:0, {BAND_NM}")
+    pixel = "[pixel]\ntechnology = '4t-bsi'\npitch_um = 84.8\nquantum_efficiency = [[400, 0.6], [1000, 0.2]]\nblack_level_dn = 60\n"
+    files = [tmp_path / "cut.toml", tmp_path / "whole.toml"]
+    for file, more in zip(files, ("infrared_cut_nm = 828\n", ""), strict=True):
+        file.write_text(pixel + more, encoding="utf-8")
+    display = {"dots": 16, "white": "diffuser"}
+    result = pixsim.compare(
+        files, scene_file(tmp_path, lamp, BOARD), display=display, resolution=16, render_noise=5.0, repeats=2, jobs=1
+    )
+    cut, whole = (sensor.irradiance.header["white_w_per_m2_sr"] for sensor in result.sensors)
+    facing = math.cos(math.pi / 4) / math.pi
+    assert [cut, whole] == pytest.approx([10.0 * facing, (10.0 + IRRADIANCE) * facing], rel=1e-3)
+
+
 def test_time_limit_that_ends_a_render_leaves_the_plate(tmp_path: Path) -> None:
     """The plate comes first: with a target that nothing meets, no time is left behind the picture."""
     scene = replace(load_scene(scene_file(tmp_path, DIRECTIONAL, BOARD)).with_resolution(16), diffuser=True)
