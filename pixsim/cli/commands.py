@@ -34,7 +34,7 @@ RawFormat = Literal["tiff", "png", "npz"]
 RAW_FORMATS = get_args(RawFormat)
 SCENE_HELP = (
     "An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, target, macbeth, line_lamp, still_life, "
-    "cornell_box."
+    "cornell_box, yard."
 )
 
 

@@ -39,6 +39,7 @@ WHITE_RADIANCE = "white_w_per_m2_sr"  # entry of a header: radiance of white, of
 # Entry of a header: what a white plate at the object's distance shows (`checked_diffuser`), for `display.white = "diffuser"`.
 DIFFUSER = "diffuser"
 DIFFUSER_W = "w_per_m2_sr_nm"  # of that entry: radiance of a perfect diffuser, in each band
+WHITE_OF_PLATE = "a white plate in the scene's light"  # as `white_words`
 LEAST_LM_PER_W = 0.1  # of light whose amount a luminance says; an incandescent lamp has 15, one line of 750 nm 0.08
 LUMINOUS_EFFICACY_LM_PER_W = 683.002  # K_m for standard air, CIE 018:2019
 

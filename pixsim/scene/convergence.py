@@ -94,6 +94,7 @@ def render_until(
     start, begun_s = time.perf_counter(), time.monotonic()
     ends_at_s = None if max_seconds is None else begun_s + (1 + GRACE) * max_seconds + GRACE_S
     job = Renderer(scene, camera, plan, seed, keep=keep, ends_at_s=ends_at_s)
+    job.diffuser  # noqa: B018 – kept for the image: behind the renders no time may be left for a white plate
     if plan.exact:
         pictures, spp = job.run(0, lambda done: progress(done, "") if progress else None)
         noise = RenderNoise(0.0, 0.0, render_noise, 1, "target")

@@ -21,6 +21,7 @@ from pixsim.light.spectral import (
     LOW_NM,
     VISIBLE,
     WHITE_LAMPS,
+    WHITE_OF_PLATE,
     WIDEST,
     Span,
     Spectrum,
@@ -213,7 +214,7 @@ class Plan:
     @property
     def light_of_white(self) -> str:
         """Name of the light of the scene's white."""
-        return white_words(bool(self.white), self.white_lamps)
+        return WHITE_OF_PLATE if self.plate else white_words(bool(self.white), self.white_lamps)
 
     @checks_arguments
     def white_header(self, edges_nm: Array) -> dict[str, Any]:

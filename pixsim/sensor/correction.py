@@ -196,7 +196,7 @@ def residual_variance_e2(
 
     It is valid for a linear response, far from 0 DN, the well and the top code, to first order in PRNU and 1/√L.
 
-    >>> from pixsim.pixel import derive
+    >>> from pixsim.sensor.pixel import derive
     >>> from pixsim import Pixel
     >>> pixel = derive(Pixel(prnu=0.01))
     >>> float(residual_variance_e2(2e4, 0.01, pixel, Correction(flat_frames=16)).gain)

@@ -68,7 +68,8 @@ def share_beyond(curve: EfficiencyCurve, irradiance: SpectralImage, physics: Pix
     photons = light * photons_per_joule(nm) * (high_nm - low_nm)
     known_nm, values = np.array(curve).T
     seen = photons @ np.interp(nm, known_nm, values, left=0.0, right=0.0)
-    beyond = photons @ (last * _share_above(low_nm, high_nm, end_nm) * (1 - _share_above(low_nm, high_nm, physics.infrared_cut_nm)))
+    between = _share_above(low_nm, high_nm, end_nm) - _share_above(low_nm, high_nm, physics.infrared_cut_nm)
+    beyond = photons @ (last * between)
     return float((beyond / np.maximum(seen + beyond, np.finfo(float).tiny)).max())
 
 

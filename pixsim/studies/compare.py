@@ -257,9 +257,11 @@ def lights_on_one_film(lineup: Lineup, stage: Stage) -> list[tuple[Light, Plan]]
                 SeenPicture(image, each.camera, derive(each.settings.pixel), lineup.border_um(each.camera))
                 for each, image in zip(lineup.cases, images, strict=True)
             ]
-            white = white_header(seen, lineup.settings.display)
-            for image in images:
-                image.header |= white
+            display = lineup.settings.display
+            # Of a plate each light says what it holds: one that ends at 830 nm has less of an infrared lamp.
+            of_all = {} if display.white else white_header(seen, display)
+            for own, image in zip(seen, images, strict=True):
+                image.header |= white_header([own], display) if display.white else of_all
             return lights
 
 

@@ -17,7 +17,17 @@ from pixsim.base.arguments import Bounds, Count, NotNegative, Positive, checks_a
 from pixsim.base.arrays import STRIP_DOTS, Array, Finites, NumberArray, Picture, Row, strips, transposed
 from pixsim.base.caller import setting
 from pixsim.base.errors import invalid
-from pixsim.light.spectral import DIFFUSER, DIFFUSER_W, LEAST_LM_PER_W, WHITE_LAMPS, WHITE_RADIANCE, SpectralImage, d65, white_words
+from pixsim.light.spectral import (
+    DIFFUSER,
+    DIFFUSER_W,
+    LEAST_LM_PER_W,
+    WHITE_LAMPS,
+    WHITE_OF_PLATE,
+    WHITE_RADIANCE,
+    SpectralImage,
+    d65,
+    white_words,
+)
 from pixsim.optics.camera import Camera
 from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.sensor.integration import (
@@ -78,7 +88,7 @@ def white_light(irradiance: SpectralImage) -> tuple[Array, str]:
     spectrum = irradiance.white_spectrum
     words = white_words(spectrum is not None, irradiance.header.get(WHITE_LAMPS, ()))
     if DIFFUSER_W in irradiance.header.get(DIFFUSER, {}):
-        words = "a white plate in the scene's light"
+        words = WHITE_OF_PLATE
     if spectrum is not None:
         return spectrum, words
     daylight = irradiance.band_mean(d65)

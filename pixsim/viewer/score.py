@@ -815,6 +815,8 @@ def _white_of_diffuser(image: SpectralImage, display: Display) -> dict[str, Any]
         hint += "In Python, pixsim.render(…, diffuser=True) makes light that says it."
         raise invalid("display.white", got, "light of a scene that was rendered for it", hint)
     if DIFFUSER_W not in stated:
+        if display.diffuser_reflectance != 1:
+            warn("display.diffuser_reflectance is not used: white is texel value 1 of the scene's emissive chart, and no plate")
         return {**stated, "white_from": "texel value 1 of the chart"}
     per_nm = display.diffuser_reflectance * np.array(stated[DIFFUSER_W])
     cd_per_m2, w_per_m2_sr = (float(weights @ per_nm) for weights in (image.luminous_weight(), image.band_width_nm))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +11,14 @@ import pytest
 
 import pixsim
 from pixsim.light.exr import write_exr
+from pixsim.scene.convergence import render_until
+from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import render
 from pixsim.scene.scene import load_scene, sensor_node
 from pixsim.scene.white_plate import distance_of_plate_m, place_of_plate
 from pixsim.sensor.pixel import derive
 from pixsim.studies.light_level import LightLevel
+from pixsim.viewer.display import white_light
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.score import SeenPicture, white_header
 
@@ -76,19 +80,27 @@ def test_plate_in_even_light_has_the_radiance_of_the_light(tmp_path: Path) -> No
 
 def test_packaged_checker_takes_its_stated_white() -> None:
     """Each of its lamps gives a perfect diffuser 1000 cd/m²."""
-    light = render(load_scene("macbeth", resolution=16), diffuser=True)
+    scene = load_scene("macbeth", resolution=16)
+    light = render(scene, diffuser=True)
     white = white_header(
         [SeenPicture(light, pixsim.Camera(), derive(pixsim.Pixel()))], Display(white="diffuser", diffuser_reflectance=0.5)
     )
     assert white["luminance_cd_per_m2"] == pytest.approx(500, rel=1e-4)
 
 
+def test_plan_names_the_plate_as_the_light_of_white() -> None:
+    """As what is rendered by it does."""
+    scene, camera = load_scene("macbeth", resolution=16), pixsim.Camera()
+    plans = [make_render_plan(replace(scene, diffuser=diffuser), camera) for diffuser in (False, True)]
+    assert [plan.light_of_white for plan in plans] == ["the scene's lamp", white_light(render(scene, camera, diffuser=True))[1]]
+
+
 def test_texel_value_1_is_the_white_of_an_emissive_chart() -> None:
     """As by default; in place of the white that the file of a target states, twice as bright."""
-    own, asked = (
-        pixsim.run("csf", pixel={"pitch_um": 84.8}, resolution=32, display={"dots": 32, **white})
-        for white in ({}, {"white": "diffuser", "diffuser_reflectance": 0.5})
-    )
+    display = {"dots": 32, "white": "diffuser", "diffuser_reflectance": 0.5}
+    own = pixsim.run("csf", pixel={"pitch_um": 84.8}, resolution=32, display={"dots": 32})
+    with pytest.warns(UserWarning, match="diffuser_reflectance is not used: white is texel value 1"):
+        asked = pixsim.run("csf", pixel={"pitch_um": 84.8}, resolution=32, display=display)
     np.testing.assert_array_equal(own.score.ideal, asked.score.ideal)
     assert own.mean_delta_e == asked.mean_delta_e
     target = pixsim.run("target", pixel={"pitch_um": 84.8}, resolution=32, display={"dots": 32, "white": "diffuser"})
@@ -136,6 +148,34 @@ def test_plate_without_light_is_refused(tmp_path: Path) -> None:
         pixsim.PixsimError, match=r"a white plate 0\.998 m before the lens, which faces it, gets no light.*State the"
     ):
         render(load_scene(path).with_resolution(16), diffuser=True)
+
+
+def test_each_sensor_of_a_comparison_has_the_plate_in_its_own_light(tmp_path: Path) -> None:
+    """Of a lamp from 810 to 830 and from 840 to 860 nm, the light of a sensor whose filter ends at 828 nm has the first part."""
+    lamp = DIRECTIONAL.replace(BAND_NM, f"809:0, 810:0.5, 829:0.5, 830:0, {BAND_NM}")
+    pixel = "[pixel]\ntechnology = '4t-bsi'\npitch_um = 84.8\nquantum_efficiency = [[400, 0.6], [1000, 0.2]]\nblack_level_dn = 60\n"
+    files = [tmp_path / "cut.toml", tmp_path / "whole.toml"]
+    for file, more in zip(files, ("infrared_cut_nm = 828\n", ""), strict=True):
+        file.write_text(pixel + more, encoding="utf-8")
+    display = {"dots": 16, "white": "diffuser"}
+    result = pixsim.compare(
+        files, scene_file(tmp_path, lamp, BOARD), display=display, resolution=16, render_noise=5.0, repeats=2, jobs=1
+    )
+    cut, whole = (sensor.irradiance.header["white_w_per_m2_sr"] for sensor in result.sensors)
+    facing = math.cos(math.pi / 4) / math.pi
+    assert [cut, whole] == pytest.approx([10.0 * facing, (10.0 + IRRADIANCE) * facing], rel=1e-3)
+
+
+def test_time_limit_that_ends_a_render_leaves_the_plate(tmp_path: Path) -> None:
+    """The plate comes first: with a target that nothing meets, no time is left behind the picture."""
+    scene = replace(load_scene(scene_file(tmp_path, DIRECTIONAL, BOARD)).with_resolution(16), diffuser=True)
+    plan = make_render_plan(scene, scene.camera())
+    asked = scene, scene.camera(), plan, [pixsim.Pixel(**PIXEL)], pixsim.Exposure(), 0
+    with pytest.warns(UserWarning, match="the time limit of 0.001 s"):
+        light, noise = render_until(*asked, render_noise=1e-9, max_seconds=1e-3)
+    assert noise.ended_by == "max_seconds"
+    radiance = np.array(light.header["diffuser"]["w_per_m2_sr_nm"]) @ light.band_width_nm
+    assert radiance == pytest.approx(IRRADIANCE * math.cos(math.pi / 4) / math.pi, rel=1e-4)
 
 
 def test_two_whites_are_refused() -> None:

@@ -66,6 +66,13 @@ def test_share_beyond_a_table_is_that_of_its_last_value() -> None:
     assert re.search(r"pixel\.quantum_efficiency ends at 900 nm with 0\.4, and is 0 beyond: if it stayed so, 29% of", text)
 
 
+def test_table_and_filter_may_end_within_one_band() -> None:
+    """From 902 to 906 nm there is 0.4 of one band, beside 50 bands below 900 nm and none above."""
+    physics = grey([[400, 0.4], [902, 0.4]], infrared_cut_nm=906.0)
+    (curve,) = tables_of(physics).values()
+    assert share_beyond(curve, EVEN_PHOTONS, physics) == pytest.approx(0.4 / 50.4, rel=1e-7)
+
+
 @pytest.mark.parametrize(
     "physics",
     [
