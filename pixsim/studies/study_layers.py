@@ -10,6 +10,7 @@ from pixsim.base.errors import invalid
 from pixsim.base.layers import Layer
 from pixsim.base.notes import warn
 from pixsim.base.records import checked
+from pixsim.light.quantities import ILLUMINANCE, LUMINANCE
 from pixsim.sensor.pixel_options import DATA_SHEET, NO_TECHNOLOGY, SCALED_WITH_AREA, STANDS_FOR, missing_of_data_sheet
 from pixsim.studies.study_settings import Study
 from pixsim.viewer.merging import merged
@@ -92,9 +93,6 @@ def _with_range(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, 
 
 def _with_light(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, Any]:
     """A study's table without the luminance of its scene where an overriding one states the illuminance, or the other way round."""
-    from pixsim.scene.illuminance import ILLUMINANCE
-    from pixsim.scene.scene import LUMINANCE
-
     scene, given = table.get("scene"), overriding.get("scene", {}).get("parameters", {})
     if not (isinstance(scene, dict) and isinstance(own := scene.get("parameters"), dict) and isinstance(given, dict)):
         return table

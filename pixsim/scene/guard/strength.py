@@ -7,7 +7,7 @@ from dataclasses import replace
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.scene.contents import EMISSION
 from pixsim.scene.guard.files import SceneElement
-from pixsim.scene.illuminance import ILLUMINANCE
+from pixsim.light.quantities import ILLUMINANCE
 
 # The property of each texture that is proportional to its light.
 POWERS = {"d65": "scale", "uniform": "value", "regular": "values", "irregular": "values"}
