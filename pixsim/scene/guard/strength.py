@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.light.quantities import ILLUMINANCE
 from pixsim.scene.contents import EMISSION
 from pixsim.scene.guard.files import SceneElement
-from pixsim.light.quantities import ILLUMINANCE
 
 # The property of each texture that is proportional to its light.
 POWERS = {"d65": "scale", "uniform": "value", "regular": "values", "irregular": "values"}
