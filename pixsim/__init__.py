@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from pixsim.viewer.other_pictures import score_pictures as score_pictures
     from pixsim.viewer.scielab import delta_e_map as delta_e_map
     from pixsim.viewer.score import Score as Score, evaluate as evaluate
+    from pixsim.viewer.settings_file import load_pixel as load_pixel
 
 __version__ = VERSION
 
@@ -63,6 +64,7 @@ _NAMES_OF = {
     "studies.study_settings": "Study",
     "viewer.develop_options": "Develop",
     "viewer.display_options": "Display",
+    "viewer.settings_file": "load_pixel",
     "sensor.technology": "Technology load_technology",
     "light.spectral": "SpectralImage",
     "light.exr": "read_exr write_exr",

@@ -140,6 +140,7 @@ OWN: dict[str, Any] = {
     "pixsim.Study.options_of.technology": "0.35um", "pixsim.studies.pixels.pixel_of.technology": "0.35um",
     "pixsim.studies.pixels.physics_of.technology": "0.35um", "pixsim.studies.pixels.photodiode_widths_um.technology": "0.35um",
     "pixsim.studies.pixels.photodiode_widths_um.pitch_um": np.array([5.0, 6.0]), "pixsim.load_scene.scene": "flat",
+    "pixsim.load_pixel.file": "imx477",
     "pixsim.load_scene.sensor": None, "pixsim.viewer.display.average_axis.edges_um": np.array([0.0, 100.0, 200.0]),
     "pixsim.viewer.scielab.grey_delta_e_map.reference_lab": lambda: np.zeros((4, 4, 3)),
     "pixsim.study.plan": STUDY, "pixsim.study.out": "", "pixsim.study.pixel": {}, "pixsim.study.scene": None,

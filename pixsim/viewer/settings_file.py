@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from pixsim.base.arguments import checks_arguments
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.layers import Layer, listed, plain_tables
 from pixsim.base.notes import warn
@@ -14,6 +15,7 @@ from pixsim.base.records import checked
 from pixsim.base.toml import packaged, read_toml, resolve_file
 from pixsim.light.curves import RESPONSES
 from pixsim.optics.lens_options import as_file_names
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.spread import without_uncertainty
 from pixsim.viewer.develop_options import has_tone_file
 from pixsim.viewer.merging import merged
@@ -103,3 +105,17 @@ def run_settings(config: str | os.PathLike[str] | Sequence[str | os.PathLike[str
     warn_of_mixed_sensors(files)
     settings: Run = checked(Run, [*files, Layer(plain_tables(options))])
     return settings
+
+
+@checks_arguments
+def load_pixel(file: str | os.PathLike[str]) -> Pixel:
+    """Return the pixel of a sensor's settings file, or of a packaged sensor by its name: for `evaluate` and `sweep`.
+
+    Other tables of the file, such as its camera, are checked and left out.
+
+    Raises PixsimError for the name of neither, and for a file that is damaged or has wrong values.
+
+    >>> load_pixel("imx477").pitch_um
+    1.55
+    """
+    return run_settings(file, {}).pixel
