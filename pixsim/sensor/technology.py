@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
 from pydantic import Field, create_model, model_validator
 
 from pixsim.base.arguments import checks_arguments
+from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, did_you_mean, excerpt, invalid, name_fault, one_line, quoted
 from pixsim.base.layers import Layer
 from pixsim.base.records import AnyNumber, Record, checked
@@ -313,8 +314,11 @@ def load_technology(name: str) -> Technology:
         return _read(known[name], ())
     path = Path(name)
     if path.suffix != ".toml" or not name:
-        hint = f"{did_you_mean(name, known)} Or give the path of a TOML file.".strip()
-        raise invalid("technology", f"'{name}'", ", ".join([*known, NO_TECHNOLOGY]), hint)
+        sensors = packaged("data/sensors")
+        hint = f"{did_you_mean(name, [*known, *sensors])} Or give the path of a TOML file."
+        if name in sensors:
+            hint = f"It is a packaged sensor, a file of settings: {setting('config', name)}."
+        raise invalid("technology", f"'{name}'", ", ".join([*known, NO_TECHNOLOGY]), hint.strip())
     check_name(name)
     status = path.stat() if path.is_file() else None
     return _read(path, (status.st_mtime_ns, status.st_size) if status else ())

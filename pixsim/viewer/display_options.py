@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
@@ -16,6 +16,14 @@ from pixsim.optics.camera import SIZES
 Luminance = Annotated[float, Field(ge=1e-12, le=1e15)]  # the disc of the sun: 1.6e9
 
 Radiance = Annotated[float, Field(ge=1e-15, le=1e12)]
+
+WHITES = "white", "white_cd_per_m2", "white_w_per_m2_sr"  # fields of a display, each of which says what its white is
+
+
+def display_excluded_by(given: Iterable[str]) -> set[str]:
+    """Return the fields of a display that say what its white is in other words than those in `given`."""
+    stated = set(WHITES).intersection(given)
+    return set(WHITES) - stated if stated else set()
 
 
 def _hint_of_white(path: Sequence[str], value: object) -> str:
@@ -80,7 +88,7 @@ class Display(Record):
 
     @model_validator(mode="after")
     def _one_white(self) -> Self:
-        stated = [name for name in ("white_cd_per_m2", "white_w_per_m2_sr") if getattr(self, name) is not None]
+        stated = [name for name in WHITES[1:] if getattr(self, name) is not None]
         if self.white is not None and stated:
             raise ValueError(f"got white = '{self.white}' and {' and '.join(stated)}; allowed: one of them. Leave the others out")
         return self

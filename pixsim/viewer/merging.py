@@ -13,6 +13,7 @@ from pixsim.sensor.colour_options import colour_excluded_by
 from pixsim.sensor.pixel_options import excluded_by
 from pixsim.sensor.stack_options import stack_excluded_by
 from pixsim.viewer.develop_options import develop_excluded_by
+from pixsim.viewer.display_options import display_excluded_by
 
 # Table -> the words that those of another layer restate.
 RESTATED: dict[str, Callable[[Iterable[str]], set[str]]] = {
@@ -20,6 +21,7 @@ RESTATED: dict[str, Callable[[Iterable[str]], set[str]]] = {
     "stack": stack_excluded_by,
     "colour": colour_excluded_by,
     "develop": develop_excluded_by,
+    "display": display_excluded_by,
 }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from pixsim.sensor.pixel import derive
 from pixsim.studies.light_level import LightLevel
 from pixsim.viewer.display import white_light
 from pixsim.viewer.display_options import Display
+from pixsim.viewer.merging import merge
 from pixsim.viewer.score import SeenPicture, white_header
 
 BAND_NM = "839:0, 840:0.5, 860:0.5, 861:0"  # W m⁻² nm⁻¹: 10.5 W/m²
@@ -181,6 +183,13 @@ def test_time_limit_that_ends_a_render_leaves_the_plate(tmp_path: Path) -> None:
 def test_two_whites_are_refused() -> None:
     with pytest.raises(pixsim.PixsimError, match="got white = 'diffuser' and white_cd_per_m2; allowed: one of them"):
         pixsim.run("csf", display={"white": "diffuser", "white_cd_per_m2": 100.0})
+
+
+@pytest.mark.parametrize("over", [{"white": "diffuser"}, {"white_cd_per_m2": 100.0}, {"white_w_per_m2_sr": 2.0}])
+@pytest.mark.parametrize("base", [{"white": "diffuser"}, {"white_cd_per_m2": 300.0}, {"white_w_per_m2_sr": 3.0}])
+def test_white_of_a_later_layer_replaces_that_of_an_earlier_one(base: dict[str, Any], over: dict[str, Any]) -> None:
+    """In whatever words: an option over a file, or a condition over a study."""
+    assert merge({"display": {"dots": 32, **base}}, {"display": over})["display"] == {"dots": 32, **over}
 
 
 def test_display_without_it_is_written_as_before() -> None:

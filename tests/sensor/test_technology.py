@@ -202,6 +202,14 @@ def test_load_technology_unknown_name_lists_names():
         load_technology("nowhere/nowhere.toml")
 
 
+def test_load_technology_name_of_a_sensor_tells_where_it_belongs():
+    """A packaged sensor is a file of settings, whose name may be mistyped, too."""
+    with pytest.raises(PixsimError, match=r"got 'imx363'.*a packaged sensor, a file of settings: config=imx363\.$"):
+        load_technology("imx363")
+    with pytest.raises(PixsimError, match=r"got 'imx36'.*Did you mean 'imx363'"):
+        load_technology("imx36")
+
+
 def test_load_technology_user_file(tmp_path):
     mine = tmp_path / "mine.toml"
     mine.write_text(text_of_035um().replace('"0.35um"', '"mine"'))
