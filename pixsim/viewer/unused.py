@@ -116,7 +116,8 @@ def changed_of(record: Record, prefix: str, but: Sequence[str] = ()) -> Iterator
         value = getattr(record, name)
         if name not in record.model_fields_set or name in but or (value == 0 and value is not False):
             continue
-        if value != info.get_default(call_default_factory=True):
+        # Pydantic 2.10 asks for the data, which no factory of a record takes.
+        if value != info.get_default(call_default_factory=True, validated_data={}):
             yield prefix + name
             if isinstance(value, Record):
                 yield from changed_of(value, f"{prefix}{name}.")
