@@ -44,6 +44,7 @@ REASONS = {
     "(any, such as 0.001, if you set --camera.f-number). A perspective or orthographic one may stand beside it, and is not used.",
 }
 OF_OBJECTS = ("type",), ("id", "name")
+PROPERTY = re.compile(r"[a-z]{1,16}(_[a-z]{1,16}){0,3}[0-9]?")
 STEPS_OF_TRANSFORM = ("translate", "rotate", "scale", "lookat", "matrix")
 MAX_NAME = 256
 MAX_TABLES = 16 << 20  # characters of all files of spectra, which become part of the text
@@ -196,7 +197,7 @@ class _Inspector:
                 self.references.append((owner, node.attributes["id"], kinds, rule is not None and rule.is_share, node))
                 return node
             if kind not in kinds:
-                self.unknown(name, node, parent, plugin, f"<{node.tag}>" + (f" whose name is {quoted(name)}" if name else ""))
+                self.unknown(name, node, parent, plugin, f"<{node.tag}>" + (f" whose name is {_property(name)}" if name else ""))
             self.children[owner].append(len(self.kinds))
             self.shares += [len(self.kinds)] if rule and rule.is_share else []
             return self.object(node, kind)
@@ -207,7 +208,7 @@ class _Inspector:
             )
         _check_attributes(node, *ATTRIBUTES[kind])
         if rule is None:
-            self.unknown(name, node, parent, plugin, f"a <{node.tag}> whose name is {quoted(name)}")
+            self.unknown(name, node, parent, plugin, f"a <{node.tag}> whose name is {_property(name)}")
             raise AssertionError
         what = f"{node.parameter} ({parent}.{name})" if node.parameter else f"{parent}.{name}"
         if kind not in rule.tags:
@@ -299,12 +300,17 @@ def _split(value: str) -> list[str]:
     return value.replace(",", " ").split()
 
 
+def _property(name: str) -> str:
+    """Return the name of a property or an attribute as messages have it: quoted if it is one as Mitsuba's, and no key."""
+    return excerpt(name, typed=PROPERTY.fullmatch(name) is not None)
+
+
 def _check_attributes(node: SceneElement, needed: Iterable[str], others: Iterable[str]) -> None:
     if wrong := [name for name in node.attributes if name not in (*needed, *others)]:
         allowed = ", ".join((*needed, *others))
         raise invalid(
             f"<{node.tag}> in {node.place}",
-            f"an attribute whose name is {quoted(wrong[0])}",
+            f"an attribute whose name is {_property(wrong[0])}",
             allowed,
             did_you_mean(wrong[0], (*needed, *others)),
         )
