@@ -30,6 +30,9 @@ from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
 
+# Before NumPy, and for all commands: as in the tests, since other numbers of threads turn the last digits of fits and figures.
+os.environ["OPENBLAS_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = "1"
+
 import numpy as np
 from PIL import Image
 
@@ -41,6 +44,7 @@ MADE_ON_HEAD = """\
 """
 # Of the imaging chain and of the pictures.
 PACKAGES = ("mitsuba", "drjit", "karellen-llvm-core", "numpy", "scipy", "OpenEXR", "matplotlib", "pillow")
+OF_MACHINE = "processor", "blas", "python"
 # On another machine: relative tolerance of numbers with a decimal point, and the factor for a number after ±, which is itself
 # uncertain for few sensors. Integers are counts.
 NUMBER_WITHIN = 0.02
@@ -61,7 +65,7 @@ BLOCK_PX = 28  # half a block's side
 
 
 def this_machine() -> dict[str, object]:
-    """The type of the processor and the versions of the packages, as in docs/made_on.toml."""
+    """The type of the processor, the kernels that BLAS is told to take, and the versions of the packages, as in made_on.toml."""
     cpu = {}
     for line in Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []:
         name, _, value = line.partition(":")
@@ -71,12 +75,14 @@ def this_machine() -> dict[str, object]:
     for name in PACKAGES:
         with contextlib.suppress(metadata.PackageNotFoundError):
             packages[name] = metadata.version(name)
-    return {"processor": "{}, family {}, model {}".format(*kind), "python": sys.version.split()[0], "packages": packages}
+    blas = os.environ.get("OPENBLAS_CORETYPE", "the processor's own")  # its sums round otherwise
+    own = {"processor": "{}, family {}, model {}".format(*kind), "blas": blas, "python": sys.version.split()[0]}
+    return {**own, "packages": packages}
 
 
 def write_made_on() -> None:
     made = this_machine()
-    lines = [f'{name} = "{made[name]}"' for name in ("processor", "python")]
+    lines = [f'{name} = "{made[name]}"' for name in OF_MACHINE]
     lines += ["", "[packages]", *(f'{name} = "{version}"' for name, version in made["packages"].items())]
     MADE_ON.write_text(MADE_ON_HEAD + "\n".join(lines) + "\n", encoding="utf-8")
 
@@ -84,7 +90,7 @@ def write_made_on() -> None:
 def differs_from_made_on() -> str:
     """What differs between this machine and the one of docs/made_on.toml; empty if nothing does."""
     made, here = tomllib.loads(MADE_ON.read_text(encoding="utf-8")), this_machine()
-    pairs = [(name, made[name], here[name]) for name in ("processor", "python")]
+    pairs = [(name, made[name], here[name]) for name in OF_MACHINE]
     pairs += [(name, version, here["packages"].get(name, "not installed")) for name, version in made["packages"].items()]
     return "; ".join(f"{name} {found} here, {there} in {MADE_ON.name}" for name, there, found in pairs if there != found)
 
