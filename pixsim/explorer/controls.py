@@ -13,6 +13,7 @@ from pixsim.base.errors import invalid
 from pixsim.base.layers import nested
 from pixsim.base.toml import packaged
 from pixsim.base.units import UNITS, unit_of
+from pixsim.light.quantities import EMITTER_SCALE, ILLUMINANCE, LUMINANCE
 from pixsim.sensor.camera_data import camera_names
 from pixsim.sensor.pixel_options import NUMBERS
 from pixsim.viewer.merging import merge
@@ -26,7 +27,6 @@ TURNED = (
     *("exposure.gain_db", "develop.denoise", "develop.denoise_strength", "motion.image_um_per_s", "display.samples_per_deg"),
 )
 OF_ALL = ("scene", "camera", "lens", "display")  # tables that two sensors share, so that both see and show the same
-STRENGTH, LUMINANCE, LUX = "emitter_scale", "luminance_cd_per_m2", "lux"  # parameters of charts, and of lit scenes
 LENS, NO_LENS = "lens.file", "thin lens"
 # What a field's name says in other words than a designer's.
 LABELS = {
@@ -71,16 +71,16 @@ class Control:
 def controls_of(parameters: Collection[str], lenses: Sequence[str]) -> list[Control]:
     """Return the controls of a scene with these parameters, and of the lenses; light in memory has neither."""
     schema = Run.model_json_schema()
-    found = [control for path in TURNED if (control := _of_field(schema, path)) is not None]
+    own = [control for path in TURNED if (control := _of_field(schema, path)) is not None]
     if lenses:
         words = "real lens in place of the thin one, whose f-number then counts no more"
-        found.insert(3, Control(LENS, "lens", help=words, choices=tuple(lenses)))
-    if LUX in parameters:
-        found.insert(2, Control(f"scene.{LUX}", "illuminance", "lx", "at the place that the scene's author chose", 1e-9, 1e9))
-    elif STRENGTH in parameters:
+        own.insert(3, Control(LENS, "lens", help=words, choices=tuple(lenses)))
+    if ILLUMINANCE in parameters:
+        own.insert(2, Control(f"scene.{ILLUMINANCE}", "illuminance", "lx", "at the place that the scene's author chose", 1e-9, 1e9))
+    elif EMITTER_SCALE in parameters:
         words = "of the chart's white; the display's white follows it, unless it is set"
-        found.insert(2, Control(f"scene.{LUMINANCE}", "luminance", unit_of(LUMINANCE), words, 1e-12, 1e15))
-    return found
+        own.insert(2, Control(f"scene.{LUMINANCE}", "luminance", unit_of(LUMINANCE), words, 1e-12, 1e15))
+    return own
 
 
 def _of_field(schema: Mapping[str, Any], path: str) -> Control | None:

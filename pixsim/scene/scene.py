@@ -18,7 +18,7 @@ from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import digest_of, missing
 from pixsim.base.problems import names_meant
 from pixsim.base.records import content_hash
-from pixsim.light.quantities import ILLUMINANCE, LUMINANCE, FilmSamples
+from pixsim.light.quantities import EMITTER_SCALE, ILLUMINANCE, LUMINANCE, FilmSamples
 from pixsim.light.spectral import WHITE_LAMPS
 from pixsim.optics.camera import Camera, CameraOptions, values_of_lens_geometry
 from pixsim.optics.camera_lens import camera_with_lens
@@ -43,7 +43,6 @@ CHART_HALF_WIDTH, CHART_HALF_HEIGHT = "chart_half_width", "chart_half_height"
 ALLOWED_RESOLUTION = (1, 16384)  # samples along a side of a film
 LENS_PARAMETERS = ("fov", "aperture_radius", "focus_distance")
 WHITE = "white_cd_per_m2"  # a <default> that only pixsim reads: the luminance that the display shows as white
-EMITTER_SCALE = "emitter_scale"
 FILM_35_MM = (36.0, 24.0)  # the format of Mitsuba's `focal_length`
 
 
