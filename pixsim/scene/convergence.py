@@ -94,11 +94,11 @@ def render_until(
     start, begun_s = time.perf_counter(), time.monotonic()
     ends_at_s = None if max_seconds is None else begun_s + (1 + GRACE) * max_seconds + GRACE_S
     job = Renderer(scene, camera, plan, seed, keep=keep, ends_at_s=ends_at_s)
-    job.diffuser  # noqa: B018 – kept for the image: behind the renders no time may be left for a white plate
+    white = job.diffuser  # now: behind the renders no time may be left for a white plate
     if plan.exact:
         pictures, spp = job.run(0, lambda done: progress(done, "") if progress else None)
         noise = RenderNoise(0.0, 0.0, render_noise, 1, "target")
-        return job.image(pictures, spp, render_noise=asdict(noise)), noise
+        return job.image(pictures, spp, white, render_noise=asdict(noise)), noise
     halves: list[list[Array]] = [[], []]
     runs, level, at_level, weight, samples = 0, 0 if max_seconds is None else FIRST_LEVEL, 0, 0.0, 0
     noise = RenderNoise(math.inf, math.inf, render_noise, 0, "target")
@@ -153,7 +153,7 @@ def render_until(
     _average(halves[0], halves[1], weight)
     halves.pop()
     rounded = {key: float(f"{value:.6g}") if isinstance(value, float) else value for key, value in asdict(noise).items()}
-    return job.image(halves[0], samples, render_noise=rounded), noise
+    return job.image(halves[0], samples, white, render_noise=rounded), noise
 
 
 def _add(totals: Sequence[Array], pictures: Sequence[NDArray[Any]], spp: float) -> None:

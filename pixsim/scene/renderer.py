@@ -372,12 +372,16 @@ class Renderer:
             parts = max(-(-samples // samples_per_kernel), -(-height * width // CELLS_PER_KERNEL))
         return np.linspace(0, height, min(parts, height) + 1).astype(int).tolist()
 
-    def image(self, pictures: Sequence[Picture], spp: int, **more: Any) -> SpectralImage:
-        """Return the irradiance of mean pictures with `spp` samples per film cell; `more` goes into the header."""
+    def image(self, pictures: Sequence[Picture], spp: int, diffuser: dict[str, Any] | None = None, **more: Any) -> SpectralImage:
+        """Return the irradiance of mean pictures with `spp` samples per film cell; `more` goes into the header.
+
+        diffuser : what `self.diffuser` was before the render, behind which no time may be left for a white plate
+        """
         if not any(self._lit(picture) for picture in pictures):
             hint = "Check that the chart faces the camera and is lit, and that hide_emitters is off: area lights are one-sided."
             raise invalid("rendered picture", "a black picture", "some light", hint)
-        header = provenance(self.source, self.camera, self.plan, self.seed, spp) | {"film": list(self.size)} | self.diffuser | more
+        white = self.diffuser if diffuser is None else diffuser
+        header = provenance(self.source, self.camera, self.plan, self.seed, spp) | {"film": list(self.size)} | white | more
         if self.plan.factored:
             planes = [picture[:, :, pulse] for picture in pictures for pulse in range(picture.shape[2])]
             stored: NDArray[np.float32] = zeros((len(planes), *self.field), np.float32)

@@ -315,7 +315,8 @@ def loaded_scene(
 
 
 GIVEN_LIGHT = "(given light)"  # in place of a scene's file
-OF_LIGHT = ("scene", "camera", "lens", "resolution", "window_mm", "max_seconds", "tolerance_e", "tolerance_delta_e", "render_noise")
+# What light of a scene is rendered by, and given light is not.
+OF_SCENE = ("scene", "camera", "lens", "window_mm", "resolution", "max_seconds", "tolerance_e", "tolerance_delta_e", "render_noise")
 
 
 def of_given_light(study: Study, variant: str | None) -> Study:
@@ -326,7 +327,7 @@ def of_given_light(study: Study, variant: str | None) -> Study:
     where = "a study whose light is given"
     varied = [path for axis in study.axis for path in axis.paths]
     varied += [path for condition in study.condition for path in paths_of(condition.set)]
-    if moved := [".".join(path) for path in varied if path[0] in OF_LIGHT]:
+    if moved := [".".join(path) for path in varied if path[0] in OF_SCENE]:
         raise invalid("axis", f"{moved[0]} in {where}", "settings of pixel, exposure, display, correction and development")
     stated = {"window_mm": study.window_mm, "tolerance_delta_e": study.tolerance_delta_e, "variant": variant}
     if names := [name for name, value in stated.items() if value is not None] + ["paper"] * study.paper:

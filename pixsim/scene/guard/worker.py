@@ -10,27 +10,19 @@ import warnings
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from pixsim.base.errors import PixsimError
-from pixsim.light.spectral import Span
 from pixsim.scene.guard.own_tracer import OwnTracer
-from pixsim.scene.job import Lamps, Passes, TraceJob
+from pixsim.scene.job import TraceJob
 
-
-def job_of(content: dict[str, Any]) -> TraceJob:
-    """Return a job from its JSON, in which keys are texts and tuples are lists."""
-    lamps = [
-        of and Lamps({int(node): (name, picture) for node, (name, picture) in of["pictures"].items()}, of["neutral"])
-        for of in content["lamps"]
-    ]
-    passes = [of and Passes(of["step_nm"], of["pulses"], of["groups"], Span(**of["span"])) for of in content["passes"]]
-    return TraceJob(**{**content, "lamps": tuple(lamps), "passes": tuple(passes)})
+JOBS = TypeAdapter(TraceJob)  # in JSON keys are texts and tuples are lists
 
 
 def answer(tracer: OwnTracer | None, request: dict[str, Any], pictures: int) -> tuple[OwnTracer, dict[str, Any]]:
     """Return the tracer of the current job, and the reply to a request; a picture goes into a file."""
     if "job" in request:
-        tracer = OwnTracer(job_of(request["job"]))
+        tracer = OwnTracer(JOBS.validate_python(request["job"]))
         return tracer, {"scenes": len(tracer.loaded)}
     assert tracer is not None
     if "seed" not in request:
