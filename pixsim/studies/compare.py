@@ -295,7 +295,7 @@ def series_of_sensor(lineup: Lineup, sensor: Case[Run], light: Light, repeats: i
         series = Series(sensor.name, imaging, scenes, ("compare", sensor.settings.seed), False, columns, lineup.condition, False)
         prepared = series.light()
         assert isinstance(prepared, PreparedScene)
-        warn_of_clipping(prepared.beyond_white)
+        warn_of_clipping(prepared.beyond_white, light.image.header, imaging.display)
         warn_of_light(imaging.physics, sensor.camera, light.image)
         return series
 

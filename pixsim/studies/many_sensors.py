@@ -194,7 +194,7 @@ def sweep(
         check_ideals(series)
         found = rows_of(series, repeats, None, None if jobs is None else workers_here(jobs), tell=warn)
         facts = {one.light_id: scenes.ideal_facts(one.light_key, one.imaging.physics, border_um) for one in series}
-        warn_of_clipping(max(each.beyond_white for each in facts.values()))
+        warn_of_clipping(max(each.beyond_white for each in facts.values()), light.header, display)
     numbers = *PIXEL_STATISTICS, *columns_of_metrics(judging.metrics)
     rows = [
         {PIXEL: name, "technology": row["technology"], "pitch_um": float(row["pitch_um"]), "repeat": int(row["repeat"])}

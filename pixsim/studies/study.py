@@ -216,7 +216,7 @@ def evaluate_cases(
             continue
         facts = {number: ideal_facts(series[number], smallest_um[number]) for number in numbers}
         for number in numbers:
-            warn_of_clipping(facts[number].beyond_white)
+            warn_of_clipping(facts[number].beyond_white, scenes.irradiance.header, series[number].imaging.display)
         for number in numbers:
             warn_of_stacks(series[number], smallest_um[number])
         complete = tuple(

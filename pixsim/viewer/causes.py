@@ -15,6 +15,8 @@ from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
 from pixsim.sensor.outside import SHOWN_SHARE, outside_hint, outside_share, outside_words
 from pixsim.sensor.pixel import PixelPhysics
+from pixsim.viewer.display import setting_of_white
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.scielab import xyz_to_lab
 
 FEWEST_CODES = 8.0  # between black and display white; with fewer, the picture is that of the ADC
@@ -48,6 +50,7 @@ class Cause:
 
 def causes_of(
     header: Mapping[str, Any],
+    display: Display,
     physics: PixelPhysics,
     white_e: float,
     integration_s: float,
@@ -57,6 +60,7 @@ def causes_of(
     """Return the causes of a score, the largest first.
 
     header : of the irradiance
+    display : that shows the picture
     physics : of what is read
     white_e : mean electrons of the scene's white on axis, in this time
     lightness : of the ideal image, as of `lightness_range`
@@ -64,7 +68,7 @@ def causes_of(
     """
     few_codes = _codes(physics, white_e, integration_s, lightness[1])
     full = _full(_range_e(physics, integration_s), white_e, lightness[1], saturated_fraction)
-    found = [_contrast(*lightness), few_codes or full, _light(outside_share(header, physics))]
+    found = [_contrast(*lightness, setting_of_white(header, display)), few_codes or full, _light(outside_share(header, physics))]
     return tuple(sorted(filter(None, found), key=lambda cause: -cause.delta_e))
 
 
@@ -131,14 +135,14 @@ def _codes(physics: PixelPhysics, white_e: float, integration_s: float, lightest
     return Cause(words, float(lightness_of(np.array(1 / max(codes, 1.0)))), hint)
 
 
-def _contrast(low: float, high: float) -> Cause | None:
+def _contrast(low: float, high: float, white: str) -> Cause | None:
     if high - low >= SEEN_LIGHTNESS:
         return None
     hint = "its mean ΔE is that of noise and offsets alone; a scene with detail judges a sensor"
     if high < SEEN_LIGHTNESS:
-        hint = f"all of it is black: lower {setting('display.white_cd_per_m2')}, or choose a brighter part of the scene"
+        hint = f"all of it is black: lower {white}, or choose a brighter part of the scene"
     elif low > ALL - SEEN_LIGHTNESS:
-        hint = f"all of it is display white: choose a scene with detail, or raise {setting('display.white_cd_per_m2')} if it clips"
+        hint = f"all of it is display white: choose a scene with detail, or raise {white} if it clips"
     return Cause(f"the ideal image has no contrast, L* {low:.1f} to {high:.1f}", ALL, hint)
 
 

@@ -7,8 +7,9 @@ measured maximum.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from functools import lru_cache
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -123,12 +124,27 @@ def white_w_per_m2_sr(irradiance: SpectralImage, display: Display) -> float | No
 
     None if a luminance says what white is.
     """
+    return _white_radiance(irradiance.header, display)
+
+
+def _white_radiance(header: Mapping[str, Any], display: Display) -> float | None:
     if display.white_w_per_m2_sr is not None:
         return display.white_w_per_m2_sr
     if display.white_cd_per_m2 is not None:
         return None
-    stated = irradiance.header.get(WHITE_RADIANCE)
+    stated = header.get(WHITE_RADIANCE)
     return stated if isinstance(stated, float) and stated > 0 else None
+
+
+@checks_arguments
+def setting_of_white(header: Mapping[str, Any], display: Display) -> str:
+    """Return the setting that states the white of light with a header, as the caller writes it.
+
+    In light that nobody sees it is a radiance. It stands in place of a white plate, if there is one.
+    """
+    name = "white_cd_per_m2" if _white_radiance(header, display) is None else "white_w_per_m2_sr"
+    instead = f", in place of {setting('display.white')}" if DIFFUSER in header else ""
+    return f"{setting(f'display.{name}')}{instead}"
 
 
 @checks_arguments

@@ -848,11 +848,11 @@ def rounded_up(value: float, digits: int) -> float:
     return nearest if nearest >= value else float(f"{nearest + step:.{digits - 1}e}")
 
 
-def warn_of_clipping(beyond_white: float) -> None:
+def warn_of_clipping(beyond_white: float, header: Mapping[str, Any], display: Display) -> None:
     """Warn if the display clips more of the ideal image than `CLIPPED_WARNING`, on behalf of the caller of the caller."""
     if beyond_white > CLIPPED_WARNING:
-        text = f"{beyond_white:.0%} of the ideal image is brighter than display white; raise {setting('display.white_cd_per_m2')}"
-        warn(text)
+        higher = displays.setting_of_white(header, display)
+        warn(f"{beyond_white:.0%} of the ideal image is brighter than display white; raise {higher}")
 
 
 def check_without(without: SpectralImage, irradiance: SpectralImage) -> None:
@@ -1215,7 +1215,7 @@ def make_imaging_chain(
         found = _kept_chains.pop(key)
     if key is not None:
         _keep_chain(key, *found)
-    warn_of_clipping(found[1])
+    warn_of_clipping(found[1], irradiance.header, display)
     return found[0]
 
 
@@ -1322,7 +1322,7 @@ def evaluate(
         warn(reason)
     time_s, saturated = score.frame.integration_s, score.frame.saturated_fraction
     of_frame = chain.white_e_per_s * time_s, time_s, lightness_range(score.ideal), saturated
-    causes = causes_of(irradiance.header, score.physics, *of_frame)
+    causes = causes_of(irradiance.header, score.display, score.physics, *of_frame)
     # The ideal picture is that of the chain, which stays.
     return replace(score, ideal=score.ideal.copy(), light=LightError.of(irradiance.header, causes=causes), _scored=None)
 

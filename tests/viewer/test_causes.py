@@ -18,7 +18,7 @@ from helpers.tiny import tiny
 from scipy.integrate import quad
 
 import pixsim
-from pixsim.light.spectral import SpectralImage, Spectrum
+from pixsim.light.spectral import DIFFUSER, WHITE_RADIANCE, SpectralImage, Spectrum
 from pixsim.optics.camera import Camera
 from pixsim.scene.plan import make_plan
 from pixsim.scene.scene import load_scene
@@ -219,18 +219,33 @@ def test_signal_below_one_step_is_named_beside_a_bright_white() -> None:
     physics = derive(Pixel.model_validate(SILICON | {"bits": 8, "black_level_dn": 0, "dark_current_e_per_s": 0}))
     for codes, named in ((0.9, True), (6.0, False)):
         lightest = 24389 / 27 * codes / 255  # CIE 15: L* below 8 is linear
-        causes = causes_of({}, physics, physics.saturation_e, 0.01, (lightest - 1, lightest))
+        causes = causes_of({}, Display(), physics, physics.saturation_e, 0.01, (lightest - 1, lightest))
         assert [cause.words for cause in causes] == ["the lightest dot is 0.9 of a step of the ADC above black"] * named
 
 
 def test_full_pixels_are_named_where_display_white_is_lighter() -> None:
     """In a white of four wells, pixels are full from a quarter of it on, L* 57.1 by CIE 15: up to 42.9 are lost."""
     full_e = FLAT.saturation_e - 0.01 * FLAT.dark_current_e_per_s
-    (cause,) = causes_of({}, FLAT, 4 * full_e, 0.01, (0.0, 100.0), 0.85)
+    (cause,) = causes_of({}, Display(), FLAT, 4 * full_e, 0.01, (0.0, 100.0), 0.85)
     assert cause.words == "85% of the pixels are saturated"
     assert cause.delta_e == pytest.approx(100 - (116 * 0.25 ** (1 / 3) - 16), abs=1e-9)
     for white_e, lightest, share in ((full_e, 100.0, 0.85), (4 * full_e, 57.0, 0.85), (4 * full_e, 100.0, 0.005)):
-        assert causes_of({}, FLAT, white_e, 0.01, (0.0, lightest), share) == ()
+        assert causes_of({}, Display(), FLAT, white_e, 0.01, (0.0, lightest), share) == ()
+
+
+@pytest.mark.parametrize(
+    ("header", "display", "named"),
+    [
+        ({"luminance_cd_per_m2": 5.0}, {}, "raise Display(white_cd_per_m2=…) if"),
+        ({WHITE_RADIANCE: 5.0}, {}, "raise Display(white_w_per_m2_sr=…) if"),
+        ({}, {"white_w_per_m2_sr": 5.0}, "raise Display(white_w_per_m2_sr=…) if"),
+        ({WHITE_RADIANCE: 5.0}, {"white_cd_per_m2": 5.0}, "raise Display(white_cd_per_m2=…) if"),
+        ({DIFFUSER: {}, WHITE_RADIANCE: 5.0}, {}, "raise Display(white_w_per_m2_sr=…), in place of Display(white=…) if"),
+    ],
+)
+def test_hint_names_the_setting_that_states_white(header: dict[str, Any], display: dict[str, float], named: str) -> None:
+    (cause,) = causes_of(header, Display.model_validate(display), FLAT, 1e4, 0.01, (100.0, 100.0))
+    assert named in cause.hint
 
 
 def test_largest_cause_is_named_first() -> None:
@@ -240,7 +255,7 @@ def test_largest_cause_is_named_first() -> None:
     assert [words.split()[0] for _, words in noisy.errors(0.5)] == ["the", "render"]
     assert [words.split()[0] for _, words in noisy.errors(5.0)] == ["render", "the"]  # 1 - 1/√5 of 5 is 2.8
     outside = outside_header([Spectrum(np.array([400.0, 900.0]), np.ones(2))])
-    named = causes_of(outside, FLAT, 1.0, 0.01, (50.0, 50.0))
+    named = causes_of(outside, Display(), FLAT, 1.0, 0.01, (50.0, 50.0))
     assert [cause.delta_e for cause in named] == sorted((cause.delta_e for cause in named), reverse=True)
     assert len(named) == 3
     header = {"render_noise": {"fraction": 2.4, "target": 0.2, "ended_by": "samples"}}

@@ -23,6 +23,7 @@ from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.technology import Junction, Technology, load_technology
 from pixsim.verification.stability import QUIET, ROUNDING, ExtremeCase, compare, compare_drawn
 from pixsim.viewer.causes import causes_of, codes_to_white
+from pixsim.viewer.display_options import Display
 
 PITCHES_UM = (0.3, 1.0, 6.5, 40.0, 100.0)
 TIMES_S = 10.0 ** np.array([-9.0, -6.0, -3.0, 0.0, 3.0, math.log10(36_000)])
@@ -248,7 +249,7 @@ def few_codes() -> Iterator[ExtremeCase]:
 
 def _named_codes(physics: PixelPhysics, white_e: float) -> float:
     """Codes from black to white, if they are named as the only cause; -1 if no cause is named."""
-    causes = causes_of({}, physics, white_e, 0.01, (0.0, 100.0))
+    causes = causes_of({}, Display(), physics, white_e, 0.01, (0.0, 100.0))
     return codes_to_white(physics, white_e, 0.01) if len(causes) == 1 else -1.0
 
 
