@@ -26,7 +26,7 @@ import pytest
 from helpers.forks import Forked
 from helpers.processes import HANG_S, signalled
 from helpers.tasks import collects_garbage, die_always, die_once, die_once_at_7_um, double, fail, folder_of, keep, nothing, warn
-from helpers.tiny import COARSE, tiny_toml, toml_of
+from helpers.tiny import tiny_toml
 
 import pixsim
 from pixsim.base import cache
@@ -35,17 +35,22 @@ from pixsim.base.notes import MachineWarning, collected_notes
 from pixsim.studies import engine, evaluations
 from pixsim.studies.engine import SharedFiles, Workers, results_of, workers_for
 from pixsim.studies.study_file import load_study
-from pixsim.viewer.score import ImagingChain
 
 COMMAND = Path(sys.executable).with_name("pixsim")
 CAPTURED = {"capture_output": True, "text": True, "timeout": HANG_S, "check": False}
-ROWS = 24
+AXES = [
+    {"name": "light", "set": ["scene.parameters.luminance_cd_per_m2", "display.white_cd_per_m2"], "values": [50.0, 100.0]},
+    {"name": "integration", "set": "exposure.max_integration_s", "values": [0.05, 0.1]},
+]
+ROWS = 4 * 5 * 2
 
 
 @pytest.fixture(scope="module")
 def toml(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("study") / "tiny.toml"
-    path.write_text(tiny_toml(repeats=4), encoding="utf-8")
+    """A study of four lights on few cells, each of five sizes with two sensors."""
+    path = tmp_path_factory.mktemp("study") / "axes.toml"
+    over: dict[str, Any] = {"camera": {"die_mm": 0.7}, "display": {"dots": 32}, "pitch": {"values_um": [5.3, 6.0, 7.0, 8.5, 11.0]}}
+    path.write_text(tiny_toml(axis=AXES, **over), encoding="utf-8")
     return path
 
 
@@ -157,26 +162,17 @@ def library_threads(_: int, __: object) -> int:
     return len(all_threads - {thread.native_id for thread in threading.enumerate()})
 
 
-def test_results_of_are_computed_in_the_current_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Workers stay for the next calls, and kept the folder of the first ones, even one that was gone."""
-    for name in ("first", "second"):
-        (tmp_path / name).mkdir()
-        monkeypatch.chdir(tmp_path / name)
-        if name == "second":
-            (tmp_path / "first").rmdir()
-        assert set(results_of(folder_of, [(task, dict) for task in range(8)], Workers(2))) == {str(tmp_path / name)}
-
-
-@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="threads are counted in /proc")
 @pytest.mark.filterwarnings("ignore:.*brighter than display white")
-def test_results_of_worker_uses_one_core() -> None:
-    """The libraries keep the threads that they start: without any, a worker runs in its own thread alone."""
-    assert list(results_of(library_threads, [(task, nothing) for task in range(4)], Workers(2))) == [0] * 4
-
-
-def test_results_of_worker_collects_garbage() -> None:
-    """A worker leaves it while it imports; each call finds it on."""
-    assert list(results_of(collects_garbage, [(task, nothing) for task in range(4)], Workers(2))) == [True] * 4
+@pytest.mark.parametrize(
+    ("function", "found"),
+    [
+        # The libraries keep the threads that they start: without any, a worker runs in its own thread alone.
+        pytest.param(library_threads, 0, marks=pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="no /proc")),
+        (collects_garbage, True),  # a worker leaves it while it imports
+    ],
+)
+def test_results_of_worker_uses_one_core_and_collects_garbage(function: Callable[[int, object], object], found: object) -> None:
+    assert list(results_of(function, [(task, nothing) for task in range(4)], Workers(2))) == [found] * 4
 
 
 @pytest.mark.parametrize(
@@ -206,79 +202,39 @@ def test_workers_for_without_dask_names_package(monkeypatch: pytest.MonkeyPatch)
 # --- a study -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("keeping", [True, False])
-def test_study_two_workers_same_bytes(keeping: bool, toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
-    if not keeping:
-        monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
+def test_study_two_workers_same_bytes(toml: Path, expected: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a cache; the next has one."""
+    monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
     pixsim.study(toml, tmp_path, jobs=2)
     assert (tmp_path / "results.csv").read_bytes() == expected
 
 
-@pytest.mark.slow  # test_results_of_dead_worker_is_retried kills one of the engine
-def test_study_killed_worker_is_replaced(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(evaluations, "evaluate_task", partial(die_once_at_7_um, mark=tmp_path / "killed"))
-    with pytest.warns(UserWarning, match="a worker process died"):
-        pixsim.study(toml, tmp_path / "out", jobs=2)
-    assert (tmp_path / "killed").exists()
-    assert (tmp_path / "out/results.csv").read_bytes() == expected
-
-
-def killed_study(toml: Path, out: Path, calls: int) -> list[bytes]:
-    """Rows that a study has finished when a signal kills its process in a call."""
+def test_study_killed_process_is_resumed(toml: Path, expected: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Killed in the second sensor of the eighth task, of another light than the first; two processes go on, by the rows of both."""
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
+    out = tmp_path / "out"
     words = ["study", str(toml), "--out", str(out), "--jobs", "1"]
-    ended = Forked(signalled(signal.SIGKILL, calls), words, out.parent, dict(os.environ))
+    ended = Forked(signalled(signal.SIGKILL, 16), words, tmp_path, dict(os.environ))
     _, err = ended.communicate()
     assert ended.wait() == -signal.SIGKILL, err
-    return (out / "results.csv").read_bytes().splitlines()[1:]
-
-
-def test_study_killed_process_is_resumed(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
-    """Killed with two pitches done, in the third's second sensor."""
-    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
-    finished = killed_study(toml, tmp_path / "out", 10)
-    assert len(finished) == 8
-    assert set(finished) < set(expected.splitlines())
-    taken = []
-    view = ImagingChain.score_frame
-    monkeypatch.setattr(ImagingChain, "score_frame", lambda self, frame: taken.append(1) or view(self, frame))
-    pixsim.study(toml, tmp_path / "out", jobs=1)
-    assert len(taken) == ROWS - len(finished)
-    assert (tmp_path / "out/results.csv").read_bytes() == expected
-
-
-AXES = [
-    {"name": "light", "set": ["scene.parameters.luminance_cd_per_m2", "display.white_cd_per_m2"], "values": [50.0, 100.0]},
-    {"name": "integration", "set": "exposure.max_integration_s", "values": [0.05, 0.1]},
-]
-
-
-@pytest.fixture(scope="module")
-def of_axes(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, bytes]:
-    """A study of axes, four lights on few cells, and results.csv of one process without a cache."""
-    folder = tmp_path_factory.mktemp("axes")
-    chart = {"file": "csf", "parameters": {"luminance_cd_per_m2": 100.0}}
-    table = {"name": "axes", "repeats": 2, "resolution": COARSE, "scene": chart, "axis": AXES}
-    table |= {"camera": {"die_mm": 0.7}, "display": {"dots": 32}, "pitch": {"values_um": [5.3, 6.0, 7.0, 8.5, 11.0]}}
-    (folder / "axes.toml").write_text("".join(f"{name} = {toml_of(value)}\n" for name, value in table.items()), encoding="utf-8")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(cache.LIMIT_VARIABLE, "0")
-        pixsim.study(folder / "axes.toml", folder / "out", jobs=1)
-    return folder / "axes.toml", (folder / "out/results.csv").read_bytes()
-
-
-@pytest.mark.slow  # test_study_killed_process_is_resumed has one light
-def test_study_of_axes_killed_process_is_resumed(of_axes: tuple[Path, bytes], tmp_path: Path, monkeypatch) -> None:
-    """Killed in the eighth task, of another light than the first; two processes go on, by the rows of both."""
-    toml, expected = of_axes
-    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
-    finished = killed_study(toml, tmp_path / "out", 16)
+    finished = (out / "results.csv").read_bytes().splitlines()[1:]
     assert len(finished) == 14
     assert set(finished) < set(expected.splitlines())
-    assert [path.name for path in (tmp_path / "out").iterdir() if path.name != ".pixsim.lock"] == ["results.csv"]
-    counts = pixsim.study(toml, tmp_path / "out", jobs=2).counts
+    assert [path.name for path in out.iterdir() if path.name != ".pixsim.lock"] == ["results.csv"]
+    counts = pixsim.study(toml, out, jobs=2).counts
     assert counts is not None
-    assert (counts.evaluations_reused, counts.evaluations_made) == (14, 26)
-    assert (tmp_path / "out/results.csv").read_bytes() == expected
+    assert (counts.evaluations_reused, counts.evaluations_made) == (14, ROWS - 14)
+    assert (out / "results.csv").read_bytes() == expected
+
+
+def test_results_of_are_computed_in_the_current_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Workers stay for the next calls, and kept the folder of the first ones, even one that was gone."""
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+        monkeypatch.chdir(tmp_path / name)
+        if name == "second":
+            (tmp_path / "first").rmdir()
+        assert set(results_of(folder_of, [(task, dict) for task in range(8)], Workers(2))) == {str(tmp_path / name)}
 
 
 @pytest.mark.slow  # a process and a study; test_hostile has a full disk for a run, test_interruptions for rows
@@ -302,26 +258,6 @@ def test_study_full_disk_keeps_finished_rows(toml, expected, tmp_path: Path, mon
     assert set(finished) < set(expected.splitlines()), "half a row"
     assert [path.name for path in (tmp_path / "out").rglob("*")] == ["results.csv"]
     pixsim.study(toml, tmp_path / "out", jobs=2)
-    assert (tmp_path / "out/results.csv").read_bytes() == expected
-
-
-@pytest.mark.slow  # test_interruptions refuses a folder in use for every command
-def test_study_locked_folder_raises(toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
-    """The second comes while the first evaluates."""
-    monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
-    command = [COMMAND, "study", toml, "--out", tmp_path / "out", "--jobs", "1"]
-    second: list[subprocess.CompletedProcess[str]] = []
-    evaluate = evaluations.evaluate_task
-
-    def evaluate_after_the_second(task, light):
-        if not second:
-            second.append(subprocess.run(command, **CAPTURED))
-        return evaluate(task, light)
-
-    monkeypatch.setattr(evaluations, "evaluate_task", evaluate_after_the_second)
-    pixsim.study(toml, tmp_path / "out", jobs=1)
-    assert second[0].returncode == 2
-    assert re.search(r"in use by another process.*a folder that is not in use.*--out", second[0].stderr)
     assert (tmp_path / "out/results.csv").read_bytes() == expected
 
 
@@ -386,36 +322,20 @@ def cluster_here(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         yield running.scheduler_address
 
 
-def assert_same_bytes_on_cluster(by: str, cluster: str, toml: Path, expected: bytes, out: Path) -> None:
+def test_comparison_on_cluster_of_a_client_is_the_same(cluster_here: str) -> None:
     from distributed import Client
 
-    with Client(cluster) as client:
-        pixsim.study(toml, out, scheduler=client if by == "client" else cluster)
-        assert client.status == "running", "it stays open"
-        assert len(client.scheduler_info()["workers"]) == 2
-    assert (out / "results.csv").read_bytes() == expected
-
-
-def test_comparison_on_cluster_is_the_same(cluster_here: str) -> None:
     options: dict[str, Any] = {"repeats": 2, "camera": {"die_mm": 2.7}, "display": {"dots": 32}, "resolution": 48}
     options |= {"pixel": {"pitch_um": 60.0}}
     own = pixsim.compare(["0.35um", "4t-bsi"], jobs=1, **options)
-    assert pixsim.compare(["0.35um", "4t-bsi"], scheduler=cluster_here, **options).answers() == own.answers()
+    with Client(cluster_here) as client:
+        assert pixsim.compare(["0.35um", "4t-bsi"], scheduler=client, **options).answers() == own.answers()
+        assert client.status == "running", "it stays open"
+        assert len(client.scheduler_info()["workers"]) == 2
 
 
-@pytest.mark.parametrize("by", ["address", "client"])
-def test_study_on_cluster_same_bytes(by: str, cluster_here: str, toml: Path, expected: bytes, tmp_path: Path) -> None:
-    assert_same_bytes_on_cluster(by, cluster_here, toml, expected, tmp_path)
-
-
-@pytest.mark.slow  # the same with workers that are processes, each with its own cache
-def test_study_on_cluster_of_processes_same_bytes(cluster: str, toml: Path, expected: bytes, tmp_path: Path) -> None:
-    assert_same_bytes_on_cluster("address", cluster, toml, expected, tmp_path)
-
-
-def test_study_of_axes_on_cluster_same_bytes(cluster_here: str, of_axes: tuple[Path, bytes], tmp_path: Path, monkeypatch) -> None:
+def test_study_on_cluster_same_bytes(cluster_here: str, toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
     """Lights of a batch travel together; here two batches of two."""
-    toml, expected = of_axes
     monkeypatch.setattr("pixsim.viewer.score.SCENE_CACHE_BYTES", 150_000)
     assert pixsim.study(toml, tmp_path, scheduler=cluster_here).scenes.capacity == 2
     assert (tmp_path / "results.csv").read_bytes() == expected
@@ -487,8 +407,8 @@ def test_workers_for_other_version_raises(kind: str, pattern: str, tmp_path: Pat
         pass
 
 
-class Client:
-    """Stands for a Dask client of a cluster at an address; its status changes from look to look."""
+class LostClient:
+    """Stands for a Dask client that has lost its scheduler; its status changes from look to look."""
 
     scheduler = SimpleNamespace(address="tcp://10.0.0.1:8786")
 
@@ -499,48 +419,35 @@ class Client:
     def status(self) -> str:
         return self.left.pop(0) if len(self.left) > 1 else self.left[0]
 
-    def wait_for_workers(self, *_: object, **__: object) -> None:
-        return
-
-    def run(self, function: Callable[[], object]) -> dict[str, object]:
-        return {"tcp://10.0.0.2:1": function()}
+    def scatter(self, *_: object, **__: object) -> None:
+        raise RuntimeError("ConnectionPool is closed")  # what a study met whose scheduler was killed
 
 
 @pytest.mark.parametrize("status", [("closed",), ("connecting", "connecting", "closed")])
-def test_a_lost_scheduler_is_named(status: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever Dask raises then: here what a study met whose scheduler was killed."""
-
-    def lost(*_: object) -> Iterator[object]:
-        raise RuntimeError("ConnectionPool is closed")
-        yield
-
-    monkeypatch.setattr(engine, "_once", lost)
+def test_a_lost_scheduler_is_named(status: tuple[str, ...]) -> None:
+    """Whatever Dask raises then."""
     pattern = "--scheduler: got a scheduler at tcp://10.0.0.1:8786 that ended before the study.*run the same command"
     with pytest.raises(pixsim.PixsimError, match=pattern):
-        list(results_of(double, [(1, nothing)], Workers(client=Client(*status))))
+        list(results_of(double, [(1, nothing)], Workers(client=LostClient(*status))))
 
 
-def test_a_scheduler_that_answers_again_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A call lost with the connection runs again; an error of the call itself stays what it is."""
-    attempts = iter([ConnectionError, None, None, ValueError])  # after a loss each of the first calls runs alone
+def test_a_scheduler_that_answers_again_goes_on(cluster_here: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Calls lost with the connection run again, here when it is back after a moment."""
+    from distributed import Client
+    from distributed.comm import CommClosedError
 
-    class CommClosedError(OSError):
-        """As Dask's."""
+    shared = partial(dict, values=np.ones(1))
+    with Client(cluster_here, set_as_default=False) as client:
 
-    def once(_function: object, calls: dict[int, tuple[int, object]], _: Workers) -> Iterator[tuple[int, int]]:
-        kind = next(attempts)
-        if kind is ConnectionError:
+        def lost(*_: object, **__: object) -> None:
+            monkeypatch.undo()
+            client.status = "connecting"
+            threading.Timer(0.05, setattr, (client, "status", "running")).start()
             raise CommClosedError
-        if kind:
-            raise kind("of the call")
-        yield from [(index, 2 * task) for index, (task, _) in list(calls.items())]
 
-    monkeypatch.setattr(engine, "_once", once)
-    workers = Workers(client=Client("connecting", "running"))
-    with pytest.warns(MachineWarning, match="retrying the remaining 2 of 2 tasks"):
-        assert list(results_of(double, [(1, nothing), (2, nothing)], workers)) == [2, 4]
-    with pytest.raises(ValueError, match="of the call"):
-        list(results_of(double, [(1, nothing)], workers))
+        monkeypatch.setattr(client, "scatter", lost)
+        with pytest.warns(MachineWarning, match="retrying the remaining 2 of 2 tasks"):
+            assert sorted(results_of(double, [(1, shared), (2, shared)], Workers(client=client))) == [(1, 1.0), (2, 2.0)]
 
 
 @pytest.mark.slow
