@@ -279,9 +279,15 @@ def test_prepare_of_many_cases_derives_few_pixels_each(monkeypatch: pytest.Monke
     [
         ({"pitch": {"values_um": [4.0, 5.0, 7.0, 8.0, 9.0]}}, r"pixel.pitch_um: got 4; allowed: above 5\."),
         ({"pixel": {"stack": {"height_um": 5.0, "index": 1.5, "shift_um": [5.5, 0.0]}}}, r"half of pitch_um = 5\.3 along"),
+        *(
+            ({"axis": [PRNU | {"name": name}]}, f"axis: got name = '{name}', a column of every study")
+            for name in ("mean_delta_e", "fill_factor", "integration_s")
+        ),
+        ({"axis": [PRNU], "tolerance_delta_e": 0.1}, r"tolerance_delta_e: got 0.1; allowed: no tolerance in a study with axes"),
     ],
 )
-def test_prepare_names_the_first_impossible_size(over: dict[str, Any], message: str) -> None:
+def test_prepare_names_what_no_case_can_have(over: dict[str, Any], message: str) -> None:
+    """Of sizes, the first one that is impossible."""
     with pytest.raises(PixsimError, match=message):
         prepare(small(**over))
 
@@ -319,7 +325,8 @@ def test_study_of_a_case_alone_has_its_rows(done: tuple[StudyResult, Path], tmp_
     assert result.case(lens="f/8", condition="night").curves[0].optimum == same.curves[0].optimum
 
 
-def test_study_curves_are_technology_axis_condition(done: tuple[StudyResult, Path]) -> None:
+def test_result_is_by_technology_axis_and_condition(done: tuple[StudyResult, Path]) -> None:
+    """Its curves, the case that is asked for, and the columns of its table."""
     result, _ = done
     assert [(curve.at["lens"], curve.at["PRNU"], curve.condition) for curve in result.curves] == [
         (lens, prnu, condition)
@@ -328,17 +335,29 @@ def test_study_curves_are_technology_axis_condition(done: tuple[StudyResult, Pat
     ]
     assert result.curves[0].label == "0.35um, f/2.8, day"
     assert all(result.part_of(curve).curves[0].label == curve.label for curve in result.curves)
+    with pytest.raises(PixsimError, match=r"lens = f/8, which names 2 cases; allowed: one of: f/2.8, day; f/2.8, night"):
+        result.case(lens="f/8")
+    with pytest.raises(PixsimError, match="condition noon, which names 0 cases"):
+        result.case(condition="noon")
+    head, first, *_ = result.to_csv().splitlines()
+    assert head.startswith("technology,pitch_um,repeat,lens,PRNU,condition,fill_factor,")
+    assert first.startswith("0.35um,5.3,0,f/2.8,base,day,")
 
 
-def test_study_counts_what_is_made(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
-    result, _ = done
-    assert result.counts is not None
-    assert (result.counts.cases, result.counts.evaluations_made, result.counts.evaluations_reused) == (10, 100, 0)
-    # Another display leaves the light on the sensor and the frames as they are.
+def test_study_computes_only_what_is_new(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
+    result, folder = done
+    before = keys(folder)
     shown = axis_of("shown", "display.samples_per_deg", 10.0, 20.0)
-    counts = pixsim.study(small(axis=[shown]), tmp_path, jobs=1).counts
-    assert counts is not None
-    assert (counts.cases, counts.evaluations_made, counts.frames_reused) == (2, 20, 10)
+    other = LENS | {"values": [*LENS["values"], {"label": "f/4", "set": {"camera": {"f_number": 4.0}}}]}
+    of_display = pixsim.study(small(axis=[shown]), tmp_path, jobs=1)
+    of_more = pixsim.study(small(axis=[other, PRNU], condition=[DAY, NIGHT]), folder, jobs=1)
+    counts = [each.counts for each in (result, of_display, of_more) if each.counts is not None]
+    assert [(own.cases, own.evaluations_made, own.evaluations_reused, own.frames_reused) for own in counts] == [
+        (10, 100, 0, 0),
+        (2, 20, 0, 10),  # another display leaves the light on the sensor and the frames as they are
+        (12, 0, 100, 0),  # f/4 is the chart's own lens: its rows are those of the base
+    ]
+    assert set(keys(folder)) == set(before)
 
 
 def test_rasters_of_one_study_are_as_if_each_were_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -349,17 +368,6 @@ def test_rasters_of_one_study_are_as_if_each_were_alone(tmp_path: Path, monkeypa
     for curve, raster in zip(both.curves, rasters, strict=True):
         alone = pixsim.study(small(repeats=4, display={"raster": raster}), tmp_path / raster, jobs=1)
         np.testing.assert_array_equal(curve.delta_e, alone.curves[0].delta_e)
-
-
-def test_study_more_values_compute_only_the_new_ones(done: tuple[StudyResult, Path]) -> None:
-    _, folder = done
-    before = set(keys(folder))
-    other = {"name": "lens", "values": [*LENS["values"], {"label": "f/4", "set": {"camera": {"f_number": 4.0}}}]}
-    counts = pixsim.study(small(axis=[other, PRNU], condition=[DAY, NIGHT]), folder, jobs=1).counts
-    assert counts is not None
-    # f/4 is the chart's own lens: its rows are those of the base.
-    assert (counts.cases, counts.evaluations_made, counts.evaluations_reused) == (12, 0, 100)
-    assert set(keys(folder)) == before
 
 
 LIGHTS = {"name": "light", "set": [LIGHT, "display.white_cd_per_m2"], "from": 50.0, "to": 100.0}
@@ -418,25 +426,6 @@ def test_study_sensors_are_drawn_once_for_all_lights(tmp_path: Path, monkeypatch
     assert len(drawn) == len(set(drawn)) == 5 * 2
 
 
-def test_result_case_ambiguous_or_unknown_names_the_cases(done: tuple[StudyResult, Path]) -> None:
-    with pytest.raises(PixsimError, match=r"lens = f/8, which names 2 cases; allowed: one of: f/2.8, day; f/2.8, night"):
-        done[0].case(lens="f/8")
-    with pytest.raises(PixsimError, match="condition noon, which names 0 cases"):
-        done[0].case(condition="noon")
-
-
-def test_result_to_csv_has_columns_of_axes(done: tuple[StudyResult, Path]) -> None:
-    head, first, *_ = done[0].to_csv().splitlines()
-    assert head.startswith("technology,pitch_um,repeat,lens,PRNU,condition,fill_factor,")
-    assert first.startswith("0.35um,5.3,0,f/2.8,base,day,")
-
-
-@pytest.mark.parametrize("name", ["mean_delta_e", "fill_factor", "integration_s"])
-def test_prepare_axis_named_as_a_column_raises(name: str) -> None:
-    with pytest.raises(PixsimError, match=f"axis: got name = '{name}', a column of every study"):
-        prepare(small(axis=[PRNU | {"name": name}]))
-
-
 def test_study_axis_without_effect_is_named(tmp_path: Path) -> None:
     """The study's own QE takes the place of the technology's: all values give the same frames."""
     known = axis_of("peak", "process.'0.35um'.peak_quantum_efficiency", 0.2, 0.4)
@@ -481,11 +470,6 @@ def test_load_study_files_of_axes_and_conditions_lie_next_to_it(tmp_path: Path) 
     assert study.axis[1].values == (str(tmp_path / "mine.toml"), "0.5um")
     assert study.axis[2].points[0].table == {"pixel": {"quantum_efficiency": str(tmp_path / "qe.csv")}}
     assert study.condition[0].set == {"scene": {"parameters": {"chart": str(tmp_path / "star.exr")}}}
-
-
-def test_study_tolerance_with_axes_raises(tmp_path: Path) -> None:
-    with pytest.raises(PixsimError, match=r"tolerance_delta_e: got 0.1; allowed: no tolerance in a study with axes"):
-        pixsim.study(small(axis=[PRNU], tolerance_delta_e=0.1), tmp_path)
 
 
 # --- command line -----------------------------------------------------------------------------------------------------

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import re
 import resource
-import shutil
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -26,7 +25,7 @@ import pytest
 from helpers.forks import Forked
 from helpers.processes import HANG_S, signalled
 from helpers.tasks import collects_garbage, die_always, die_once, die_once_at_7_um, double, fail, folder_of, keep, nothing, warn
-from helpers.tiny import tiny_toml
+from helpers.tiny import tiny, tiny_toml
 
 import pixsim
 from pixsim.base import cache
@@ -36,8 +35,6 @@ from pixsim.studies import engine, evaluations
 from pixsim.studies.engine import SharedFiles, Workers, results_of, workers_for
 from pixsim.studies.study_file import load_study
 
-COMMAND = Path(sys.executable).with_name("pixsim")
-CAPTURED = {"capture_output": True, "text": True, "timeout": HANG_S, "check": False}
 AXES = [
     {"name": "light", "set": ["scene.parameters.luminance_cd_per_m2", "display.white_cd_per_m2"], "values": [50.0, 100.0]},
     {"name": "integration", "set": "exposure.max_integration_s", "values": [0.05, 0.1]},
@@ -237,79 +234,64 @@ def test_results_of_are_computed_in_the_current_folder(tmp_path: Path, monkeypat
         assert set(results_of(folder_of, [(task, dict) for task in range(8)], Workers(2))) == {str(tmp_path / name)}
 
 
-@pytest.mark.slow  # a process and a study; test_hostile has a full disk for a run, test_interruptions for rows
-def test_study_full_disk_keeps_finished_rows(toml, expected, tmp_path: Path, monkeypatch) -> None:
+@pytest.mark.slow  # most of two studies; test_hostile has a full disk for a run, test_interruptions for rows
+def test_study_full_disk_keeps_finished_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The limit of a file's size stands for the disk's: the write fails in the same place."""
     monkeypatch.setenv(cache.LIMIT_VARIABLE, "0")
-    room = len(expected) // 2
-
-    def limit() -> None:
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
-
-    command = [COMMAND, "study", toml, "--out", tmp_path / "out", "--jobs", "1"]
-    own = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}  # Python leaves cut bytecode behind, which no later process can import
-    ended = subprocess.run(command, preexec_fn=limit, env=own, **CAPTURED)
-    assert (ended.returncode, ended.stdout) == (2, "")
-    assert "Traceback" not in ended.stderr
-    assert "results.csv' cannot be written (No space left on device). Finished rows are kept" in ended.stderr
-    finished = (tmp_path / "out/results.csv").read_bytes().splitlines()[1:]
-    assert 0 < len(finished) < ROWS
+    pixsim.study(tiny(), tmp_path / "whole", jobs=1)
+    expected, results = (tmp_path / "whole/results.csv").read_bytes(), tmp_path / "out/results.csv"
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    words = r"results.csv' cannot be written \(No space left on device\)\. Finished rows are kept"
+    with contextlib.ExitStack() as stack:
+        stack.callback(signal.signal, signal.SIGXFSZ, signal.signal(signal.SIGXFSZ, signal.SIG_IGN))
+        stack.callback(resource.setrlimit, resource.RLIMIT_FSIZE, limits)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (len(expected) // 2, limits[1]))
+        with pytest.raises(pixsim.PixsimError, match=words):
+            pixsim.study(tiny(), tmp_path / "out", jobs=1)
+    finished = results.read_bytes().splitlines()[1:]
+    assert finished
     assert set(finished) < set(expected.splitlines()), "half a row"
     assert [path.name for path in (tmp_path / "out").rglob("*")] == ["results.csv"]
-    pixsim.study(toml, tmp_path / "out", jobs=2)
-    assert (tmp_path / "out/results.csv").read_bytes() == expected
+    pixsim.study(tiny(), tmp_path / "out", jobs=2)
+    assert results.read_bytes() == expected
 
 
 # --- a cluster ---------------------------------------------------------------------------------------------------------
 
 
-def address_in(file: Path, scheduler: subprocess.Popen[bytes], log: Path) -> str:
-    """The scheduler's address, once its file is whole: it is there, and empty, before the scheduler has written it."""
-    deadline = time.monotonic() + HANG_S
-    while True:
-        with contextlib.suppress(FileNotFoundError, json.JSONDecodeError):
-            return json.loads(file.read_text(encoding="utf-8"))["address"]
-        assert scheduler.poll() is None, log.read_text(encoding="utf-8")
-        assert time.monotonic() < deadline, "no address"
-        time.sleep(0.02)
-
-
 @contextlib.contextmanager
-def running_cluster(folder: Path, count: int, python_path: Path = Path(__file__).parents[1]) -> Iterator[str]:
-    """Address of a Dask scheduler that answers and has its workers.
+def running_cluster(folder: Path) -> Iterator[str]:
+    """Address of a Dask scheduler that answers and has its two workers.
 
-    They are processes of their own, as on other machines, each worker with its own cache. All of them find the modules in
-    `python_path` first; by default these are the tests, since the scheduler reads the calls as well.
+    They are processes of their own, as on other machines, each worker with its own cache. All of them find the modules of the tests
+    first, since the scheduler reads the calls as well.
     """
     distributed = pytest.importorskip("distributed", reason="Dask is not installed (pip install 'pixsim[cluster]')")
-    paths = os.pathsep.join([str(python_path), *filter(None, [os.environ.get("PYTHONPATH")])])
+    paths = os.pathsep.join([str(Path(__file__).parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])])
     with (folder / "log").open("wb") as log, contextlib.ExitStack() as stack:
 
-        def start(kind: str, *more: str, **own: str) -> subprocess.Popen[bytes]:
+        def start(kind: str, *more: str, **own: str) -> None:
             command = [sys.executable, "-m", f"distributed.cli.dask_{kind}", *more, "--no-dashboard", "--host", "127.0.0.1"]
             process = subprocess.Popen(command, stdout=log, stderr=log, env=os.environ | {"PYTHONPATH": paths} | own, cwd=folder)
             stack.callback(process.wait, HANG_S)
             stack.callback(process.kill)
-            return process
 
-        file = folder / "scheduler.json"
-        address = address_in(file, start("scheduler", "--port", "0", "--scheduler-file", str(file)), folder / "log")
-        for number in range(count):
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            port = free.getsockname()[1]
+        start("scheduler", "--port", str(port))
+        address = f"tcp://127.0.0.1:{port}"  # workers and clients try until it is there
+        for number in range(2):
             own = str(folder / f"worker-{number}")
-            more = ["--nthreads", "1", "--no-nanny", "--local-directory", own]
-            start("worker", address, *more, **{FOLDER_VARIABLE: own + "-cache"})
+            words = ["--nthreads", "1", "--no-nanny", "--local-directory", own]
+            start("worker", address, *words, **{FOLDER_VARIABLE: own + "-cache"})
         with distributed.Client(address, timeout=HANG_S, set_as_default=False) as client:
-            client.wait_for_workers(count, timeout=HANG_S)
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(engine, "CONNECT_SECONDS", HANG_S)
-            patch.setattr(engine, "WORKER_SECONDS", HANG_S)
-            yield address
+            client.wait_for_workers(2, timeout=HANG_S)
+        yield address
 
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    with running_cluster(tmp_path_factory.mktemp("cluster"), 2) as running:
+    with running_cluster(tmp_path_factory.mktemp("cluster")) as running:
         yield running
 
 
@@ -382,28 +364,29 @@ def test_study_on_cluster_sends_technology(cluster: str, toml: Path, tmp_path: P
     assert actual[0] != actual[1]
 
 
-@pytest.mark.slow
+class Cluster:
+    """Stands for a client of a cluster whose workers answer so."""
+
+    def __init__(self, answer: Callable[[], str]) -> None:
+        self.answer = answer
+
+    def wait_for_workers(self, *_: object, **__: object) -> None:
+        return
+
+    def run(self, _: object) -> dict[str, str]:
+        return {"tcp://10.0.0.2:1": self.answer()}
+
+
 @pytest.mark.parametrize(
-    ("kind", "pattern"),
+    ("answer", "pattern"),
     [
-        ("changed", r"got pixsim .* at tcp.*as here, so that all rows are comparable"),
-        ("none", r"got a worker that does not report its pixsim version"),
+        (lambda: "pixsim 0.9", r"got pixsim 0\.9 at tcp://10\.0\.0\.2:1; allowed: .*, as here, so that all rows are comparable"),
+        (partial(__import__, "no_pixsim"), r"got a worker that does not report its pixsim version \(No module named 'no_pixsim'\)"),
     ],
 )
-def test_workers_for_other_version_raises(kind: str, pattern: str, tmp_path: Path) -> None:
-    other = tmp_path / "other/pixsim"
-    if kind == "changed":
-        shutil.copytree(Path(pixsim.__file__).parent, other, ignore=shutil.ignore_patterns("__pycache__"))
-        with (other / "units.py").open("a", encoding="utf-8") as file:
-            file.write("# a change\n")
-    else:
-        other.mkdir(parents=True)
-        (other / "__init__.py").touch()
-    with (
-        running_cluster(tmp_path, 1, other.parent) as address,
-        pytest.raises(pixsim.PixsimError, match="--scheduler: " + pattern),
-        workers_for(None, address),
-    ):
+def test_workers_for_other_version_raises(answer: Callable[[], str], pattern: str) -> None:
+    """That of other sources is another one: tests/base/test_cache.py."""
+    with pytest.raises(pixsim.PixsimError, match="--scheduler: " + pattern), workers_for(None, Cluster(answer)):
         pass
 
 
@@ -466,7 +449,7 @@ def test_study_that_loses_its_cluster_keeps_rows(lost: str, pattern: str, tmp_pa
         with contextlib.suppress(Exception), distributed.Client(address, timeout=HANG_S, set_as_default=False) as client:
             (client.run_on_scheduler if lost == "scheduler" else client.run)(os._exit, 1)
 
-    with running_cluster(tmp_path, 2) as address:
+    with running_cluster(tmp_path) as address:
         for name, seconds in (("CONNECT_SECONDS", 3.0), ("WORKER_SECONDS", 3.0), ("IDLE_SECONDS", 3.0), ("WATCH_SECONDS", 0.5)):
             monkeypatch.setattr(engine, name, seconds)
         thread = threading.Thread(target=end_cluster, args=[address], daemon=True)
