@@ -25,7 +25,7 @@ from pixsim.base.layers import nested
 from pixsim.cli.options import axes_of
 from pixsim.studies import preparation
 from pixsim.studies.axis import Axis
-from pixsim.studies.cases import BASE, MAX_CASES, cases_of, check_number, combinations
+from pixsim.studies.cases import BASE, MAX_CASES, cases_of, check_number
 from pixsim.studies.pixels import pixel_of
 from pixsim.studies.preparation import prepare
 from pixsim.studies.result import StudyResult
@@ -72,18 +72,15 @@ NIGHT = condition_of("night", {"scene": {"parameters": {"luminance_cd_per_m2": 3
 # --- values of an axis ------------------------------------------------------------------------------------------------
 
 
-def test_axis_log_spacing_has_equal_ratios_and_its_ends() -> None:
+def test_axis_spacing_has_equal_steps_and_its_ends() -> None:
     points = Axis.model_validate({"name": "a", "set": LIGHT, "from": 1.0, "to": 1000.0, "count": 7, "spacing": "log"}).points
     values = [float(point.value) for point in points]
     assert (values[0], values[-1]) == (1.0, 1000.0)
     np.testing.assert_allclose(np.diff(np.log10(values)), 0.5, atol=2e-6)  # six digits
-    assert points[2].table == {"scene": {"parameters": {"luminance_cd_per_m2": 10.0}}}
-
-
-def test_axis_linear_spacing_moves_settings_together() -> None:
-    axis = Axis.model_validate({"name": "a", "set": [LIGHT, "display.white_cd_per_m2"], "from": 4.0, "to": 1.0, "count": 4})
-    assert [point.value for point in axis.points] == [4.0, 3.0, 2.0, 1.0]
-    assert axis.points[1].table == {"scene": {"parameters": {"luminance_cd_per_m2": 3.0}}, "display": {"white_cd_per_m2": 3.0}}
+    both = [LIGHT, "display.white_cd_per_m2"]
+    points = Axis.model_validate({"name": "a", "set": both, "from": 4.0, "to": 1.0, "count": 4}).points
+    assert [point.value for point in points] == [4.0, 3.0, 2.0, 1.0]
+    assert points[1].table == {"scene": {"parameters": {"luminance_cd_per_m2": 3.0}}, "display": {"white_cd_per_m2": 3.0}}
 
 
 ONE_OR_TEXT = r"allowed: a number from -1e\+30 to 1e\+30, or a text"
@@ -197,6 +194,12 @@ def test_cases_of_plain_study_is_itself() -> None:
     (case,) = cases_of(study := tiny())
     assert case.settings is study
     assert (case.words, case.columns) == ("", {})
+    assert [case.at for case in cases_of(tiny(condition=[DAY, NIGHT]))] == [{}, {}]
+
+
+def test_cases_of_moves_alone_begin_with_the_base() -> None:
+    cases = cases_of(tiny(axis=[PRNU]))
+    assert [(case.at["PRNU"], case.alone) for case in cases] == [(BASE, ""), (0.01, "PRNU"), (0.03, "PRNU")]
 
 
 def test_cases_of_are_a_product_then_single_moves_each_under_every_condition() -> None:
@@ -298,12 +301,6 @@ def test_check_number_asks_for_more_than_a_hundred_thousand() -> None:
     check_number(0, 10**9, agreed=False)  # a study without axes
     with pytest.raises(PixsimError, match=r"100001 evaluations in 2 cases.*--yes"):
         check_number(2, 100_001, agreed=False)
-
-
-def test_combinations_of_moves_alone_begin_with_the_base() -> None:
-    assert [(dict(chosen), alone) for chosen, alone in combinations([])] == [({}, "")]
-    moves = [(sorted(chosen), alone) for chosen, alone in combinations([Axis.model_validate(PRNU)])]
-    assert moves == [([], ""), (["PRNU"], "PRNU"), (["PRNU"], "PRNU")]
 
 
 # --- a study with axes and conditions ---------------------------------------------------------------------------------

@@ -33,7 +33,6 @@ from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.notes import MachineWarning, collected_notes
 from pixsim.studies import engine, evaluations
 from pixsim.studies.engine import SharedFiles, Workers, results_of, workers_for
-from pixsim.studies.study_file import load_study
 
 AXES = [
     {"name": "light", "set": ["scene.parameters.luminance_cd_per_m2", "display.white_cd_per_m2"], "values": [50.0, 100.0]},
@@ -176,7 +175,6 @@ def test_results_of_worker_uses_one_core_and_collects_garbage(function: Callable
     ("jobs", "scheduler", "pattern"),
     [
         (0, None, "--jobs: got 0; allowed: 1 or more"),
-        (-1, None, "--jobs: got -1"),
         (2, "tcp://127.0.0.1:1", "--jobs: got 2 with a scheduler"),
         (None, "tcp://127.0.0.1:1", r"--scheduler: got 'tcp://127.0.0.1:1'.*allowed: the address of a running Dask scheduler"),
         (None, "nowhere at all", "--scheduler: got 'nowhere at all'"),
@@ -347,12 +345,11 @@ def test_results_of_cluster_batches_cheap_calls(cluster_here: str, monkeypatch: 
 
 
 @pytest.mark.slow
-def test_study_on_cluster_sends_technology(cluster: str, toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """They need not have its file, and one that is edited counts at once."""
+def test_study_on_cluster_sends_technology(cluster: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Workers need not have its file in a study of one light, and one that is edited counts at once."""
     process = Path(pixsim.__file__).parent / "data/technologies/0.35um.toml"
     monkeypatch.chdir(tmp_path)
-    study = load_study(toml).model_copy(update={"technologies": ("mine.toml",)})
-    actual = []
+    study, actual = tiny(technologies=["mine.toml"]), []
     for noise in ("3.5", "35.5"):
         text = process.read_text(encoding="utf-8")
         Path("mine.toml").write_text(re.sub(r"(\[read_noise_e\]\nvalue = )[\d.]+", rf"\g<1>{noise}", text), encoding="utf-8")
@@ -364,19 +361,6 @@ def test_study_on_cluster_sends_technology(cluster: str, toml: Path, tmp_path: P
     assert actual[0] != actual[1]
 
 
-class Cluster:
-    """Stands for a client of a cluster whose workers answer so."""
-
-    def __init__(self, answer: Callable[[], str]) -> None:
-        self.answer = answer
-
-    def wait_for_workers(self, *_: object, **__: object) -> None:
-        return
-
-    def run(self, _: object) -> dict[str, str]:
-        return {"tcp://10.0.0.2:1": self.answer()}
-
-
 @pytest.mark.parametrize(
     ("answer", "pattern"),
     [
@@ -386,32 +370,24 @@ class Cluster:
 )
 def test_workers_for_other_version_raises(answer: Callable[[], str], pattern: str) -> None:
     """That of other sources is another one: tests/base/test_cache.py."""
-    with pytest.raises(pixsim.PixsimError, match="--scheduler: " + pattern), workers_for(None, Cluster(answer)):
+    client = SimpleNamespace(wait_for_workers=lambda *_, **__: None, run=lambda _: {"tcp://10.0.0.2:1": answer()})
+    with pytest.raises(pixsim.PixsimError, match="--scheduler: " + pattern), workers_for(None, client):
         pass
 
 
-class LostClient:
-    """Stands for a Dask client that has lost its scheduler; its status changes from look to look."""
+@pytest.mark.parametrize("status", ["closed", "connecting"])
+def test_a_lost_scheduler_is_named(status: str) -> None:
+    """Whatever Dask raises then: here what a study met whose scheduler was killed."""
+
+    def lost(*_: object, **__: object) -> None:
+        raise RuntimeError("ConnectionPool is closed")
 
     scheduler = SimpleNamespace(address="tcp://10.0.0.1:8786")
-
-    def __init__(self, *status: str) -> None:
-        self.left = list(status)
-
-    @property
-    def status(self) -> str:
-        return self.left.pop(0) if len(self.left) > 1 else self.left[0]
-
-    def scatter(self, *_: object, **__: object) -> None:
-        raise RuntimeError("ConnectionPool is closed")  # what a study met whose scheduler was killed
-
-
-@pytest.mark.parametrize("status", [("closed",), ("connecting", "connecting", "closed")])
-def test_a_lost_scheduler_is_named(status: tuple[str, ...]) -> None:
-    """Whatever Dask raises then."""
+    client: Any = SimpleNamespace(scheduler=scheduler, status=status, scatter=lost)
+    threading.Timer(0.05, setattr, (client, "status", "closed")).start()
     pattern = "--scheduler: got a scheduler at tcp://10.0.0.1:8786 that ended before the study.*run the same command"
     with pytest.raises(pixsim.PixsimError, match=pattern):
-        list(results_of(double, [(1, nothing)], Workers(client=LostClient(*status))))
+        list(results_of(double, [(1, nothing)], Workers(client=client)))
 
 
 def test_a_scheduler_that_answers_again_goes_on(cluster_here: str, monkeypatch: pytest.MonkeyPatch) -> None:
