@@ -35,7 +35,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 
 @pytest.fixture(scope="module")
-def both(files: list[Path]) -> Comparison:
+def both(files: list[Path]) -> Averaged:
     """A pair among three sensors, of which the third changes no answer on it: the tests below compare with the two alone."""
     third = sheet(files[0].with_name("third.toml"), 3.0, 25.0, "[40, 40]")
     return pixsim.compare([*files, third], study=plan(condition=BOTH), repeats=3, jobs=1).pair("b")
@@ -54,7 +54,7 @@ def in_condition(files: list[Path], table: dict[str, Any]) -> Comparison:
     return pixsim.compare(files, parameters=parameters, resolution=96, repeats=3, jobs=1, **options)
 
 
-def test_weighted_mean_is_that_of_the_conditions_alone(both: Comparison, alone: list[Comparison]) -> None:
+def test_weighted_mean_is_that_of_the_conditions_alone(both: Averaged, alone: list[Comparison]) -> None:
     """Σ w ΔE of each pair of frames, from two comparisons without a study; its interval is Student's t of these sums."""
     day, night = alone
     for name in ("a", "b"):
@@ -70,7 +70,7 @@ def test_weighted_mean_is_that_of_the_conditions_alone(both: Comparison, alone: 
     assert both.film_delta_e["b"] == pytest.approx(film, rel=1e-12)
 
 
-def test_conditions_are_those_comparisons_bit_for_bit(both: Comparison, alone: list[Comparison]) -> None:
+def test_conditions_are_those_comparisons_bit_for_bit(both: Averaged, alone: list[Comparison]) -> None:
     day, night = (result.answers() for result in alone)
     assert [part.answers() for part in both.conditions] == [day, night]
     assert [weight for weight, _ in both.counted] == [0.75, 0.25]
@@ -89,10 +89,10 @@ def test_one_condition_is_the_comparison_without_a_study(alone: list[Comparison]
 
 
 def test_shown_condition_is_the_first_of_weight_above_0(files: list[Path]) -> None:
-    never = {"name": "never", "weight": 0.0, "set": DAY}
+    never = {"name": "never", "weight": 0.0, "set": {"scene": {"file": "flat"}}}
     made = prepare(files, study=plan(condition=[never, *BOTH[::-1]]), match="view", repeats=2)
     assert made.shown.condition == "night"
-    assert [part.condition for part in made.conditions] == ["never", "night", "day"]
+    assert [(part.condition, part.scene) for part in made.conditions] == [("never", "flat"), ("night", "csf"), ("day", "csf")]
 
 
 def test_view_of_all_conditions_is_that_of_the_shown_one(files: list[Path]) -> None:
@@ -131,8 +131,8 @@ def test_correction_development_and_lens_of_a_study_are_those_of_all(files: list
     """As with the same tables in the settings of all sensors; a lens is for files that state none."""
     tables: dict[str, Any] = {"correction": {"dark_frames": 4}, "develop": {"matrix": "least_squares"}}
     options: dict[str, Any] = {"match": "view", "repeats": 2}
-    made = prepare(files, study=plan(**tables, lens={"file": "cooke_triplet"}), **options)
-    same = prepare(files, study=plan(), options=tables | {"lens": {"file": "cooke_triplet"}}, **options)
+    made = prepare(files, study=plan(**tables, lens={"file": "singlet"}), **options)
+    same = prepare(files, study=plan(), options=tables | {"lens": {"file": "singlet"}}, **options)
     assert made.shown.settings == same.shown.settings
     assert made.shown.settings.correction.dark_frames == 4
     assert [each.camera for each in made.shown.cases] == [each.camera for each in same.shown.cases]
@@ -153,12 +153,6 @@ def test_scene_of_option_is_without_the_parameters_of_the_study(files: list[Path
     assert made.shown.scene == "flat"
     assert made.not_used == ("scene",)
     assert prepare(files, study=study, match="view", repeats=2).shown.cases[0].scene.parameters["max_lp_per_mm"] == "12.0"
-
-
-def test_condition_with_a_scene_of_its_own(files: list[Path]) -> None:
-    flat = {"name": "flat", "set": {"scene": {"file": "flat"}}}
-    made = prepare(files, study=plan(condition=[*BOTH, flat]), match="view", repeats=2)
-    assert [part.scene for part in made.conditions] == ["csf", "csf", "flat"]
 
 
 # --- synthetic scores -------------------------------------------------------------------------------------------------
@@ -206,7 +200,6 @@ def test_weighted_interval_covers_and_its_false_alarms_are_5_percent() -> None:
     ("table", "texts"),
     [
         ({"camera": {"f_nmber": 2}}, ["camera.f_nmber", "f_number"]),
-        ({"camera": {"f_number": -2}}, ["camera.f_number", "-2"]),
         ({"camera": {"die_mm": 2}}, ["set.camera.die_mm", "own die"]),
         ({"process": {"0.35um": {"prnu": 0}}}, ["set.process", "set.pixel"]),
         ({"scene": {"xml": 1}}, ["set.scene.xml", "set.scene.file"]),
