@@ -375,16 +375,13 @@ def test_workers_for_other_version_raises(answer: Callable[[], str], pattern: st
         pass
 
 
-@pytest.mark.parametrize("status", ["closed", "connecting"])
-def test_a_lost_scheduler_is_named(status: str) -> None:
+def test_a_lost_scheduler_is_named() -> None:
     """Whatever Dask raises then: here what a study met whose scheduler was killed."""
 
     def lost(*_: object, **__: object) -> None:
         raise RuntimeError("ConnectionPool is closed")
 
-    scheduler = SimpleNamespace(address="tcp://10.0.0.1:8786")
-    client: Any = SimpleNamespace(scheduler=scheduler, status=status, scatter=lost)
-    threading.Timer(0.05, setattr, (client, "status", "closed")).start()
+    client: Any = SimpleNamespace(scheduler=SimpleNamespace(address="tcp://10.0.0.1:8786"), status="closed", scatter=lost)
     pattern = "--scheduler: got a scheduler at tcp://10.0.0.1:8786 that ended before the study.*run the same command"
     with pytest.raises(pixsim.PixsimError, match=pattern):
         list(results_of(double, [(1, nothing)], Workers(client=client)))
