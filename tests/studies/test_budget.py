@@ -6,8 +6,6 @@ import json
 import math
 from dataclasses import asdict, replace
 from itertools import pairwise
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +14,6 @@ import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.report.wording import budget_section
 from pixsim.show.render import lines as lines_of
-from pixsim.studies import budget
 from pixsim.studies.budget import (
     FINEST_NOISE,
     MAX_SENSORS,
@@ -32,6 +29,7 @@ from pixsim.studies.budget import (
     film_errors,
     interpolation_effect,
     options_of,
+    pitches_around_least_um,
     probe,
     rounded_down,
     total,
@@ -285,24 +283,16 @@ def test_calibration_from_invalid_dict_raises(change):
             Calibration.from_dict(wrong)
 
 
-@pytest.mark.parametrize("colour", [None, "filters"])
-def test_pitches_whose_colours_cannot_be_taken_apart_are_left_out_of_the_scan(
-    colour: str | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Below 2 µm the channels mix here; of a monochrome pixel an error is an error."""
+def test_pitches_whose_colours_cannot_be_taken_apart_are_left_out_of_the_scan():
+    """Below 2 µm the channels mix here; of a monochrome pixel, and of the largest size, an error is an error."""
 
-    def delta_e(_: object, __: object, pitch_um: float, ___: int) -> float:
+    def delta_e(pitch_um: float) -> float:
         if pitch_um < 2:
             raise PixsimError("noise gains")
         return pitch_um
 
-    monkeypatch.setattr(budget, "sensor_delta_e", delta_e)
-    monkeypatch.setattr(budget, "chains_of", lambda *_: lambda *_: None)
-    monkeypatch.setattr(budget, "pitch_range_um", lambda _: (0.5, 15.0))
-    design: Any = SimpleNamespace(imaging=SimpleNamespace(pixel=SimpleNamespace(colour=colour)), seed=0)
-    image: Any = None
-    if colour is None:
+    sizes_um = np.geomspace(0.5, 15.0, 9).tolist()
+    assert 2 <= pitches_around_least_um(sizes_um, delta_e, 4, coloured=True)[0] < 3
+    for scanned_um, coloured in ((sizes_um, False), (sizes_um[:2], True)):
         with pytest.raises(PixsimError):
-            budget.pitches_around_optimum_um(image, design, 4)
-        return
-    assert 2 <= budget.pitches_around_optimum_um(image, design, 4)[0] < 3
+            pitches_around_least_um(scanned_um, delta_e, 4, coloured=coloured)
