@@ -12,7 +12,6 @@ import subprocess
 import sys
 import threading
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -65,18 +64,11 @@ def expected(toml: Path, tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_results_of_yields_every_call_once(jobs: int) -> None:
-    made: list[str] = []
-
-    def first() -> dict[str, np.ndarray]:
-        made.append("first")
-        return {"values": np.ones(300_000)}
-
-    def second() -> dict[str, np.ndarray]:
-        made.append("second")
-        return {"values": np.full(3, 2.0)}
-
-    actual = sorted(results_of(double, [(task, first if task % 2 else second) for task in range(20)], Workers(jobs)))
-    assert jobs == 1 or sorted(made) == ["first", "second"], "what is shared is made once"
+    made: list[int] = []
+    shared = np.full(3, 2.0), np.ones(300_000)
+    makes = [partial(lambda values: made.append(values.size) or {"values": values}, values) for values in shared]
+    actual = sorted(results_of(double, [(task, makes[task % 2]) for task in range(20)], Workers(jobs)))
+    assert jobs == 1 or sorted(made) == [3, 300_000], "what is shared is made once"
     assert actual == [(task, task * (300_000.0 if task % 2 else 6.0)) for task in range(20)]
 
 
@@ -116,19 +108,16 @@ def test_results_of_dead_worker_is_retried(tmp_path: Path) -> None:
 def test_results_of_deadly_task_is_named() -> None:
     actual: list[int] = []
     results = results_of(die_always, [(task, nothing) for task in range(12)], Workers(2))
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        with pytest.raises(pixsim.PixsimError, match=r"2 processes.*ended its process, even when run alone: 3\..*--jobs 1"):
-            actual.extend(results)
-    assert "a worker process died; retrying the remaining" in str(caught[0].message)
+    named = r"2 processes.*ended its process, even when run alone: 3\..*--jobs 1"
+    with pytest.warns(UserWarning, match="died; retrying the remaining"), pytest.raises(pixsim.PixsimError, match=named):
+        actual.extend(results)
     assert sorted(actual) == [task for task in range(12) if task != 3]
 
 
 def test_results_of_shows_worker_warnings_once() -> None:
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with collected_notes() as notes:
         assert sorted(results_of(warn, [(task, nothing) for task in range(6)], Workers(2))) == list(range(6))
-    assert [str(note.message) for note in caught] == ["the moon is out"]
+    assert notes == ["the moon is out"]
 
 
 @pytest.mark.slow
@@ -325,9 +314,9 @@ def test_results_of_cluster_batches_cheap_calls(cluster_here: str, monkeypatch: 
     sent: list[int] = []
     submit = Client.submit
 
-    def counted(self: Client, function: Callable[..., object], *arguments: object, **options: object) -> object:
-        sent.append(len(arguments[1]))
-        return submit(self, function, *arguments, **options)
+    def counted(self: Client, function: Any, *given: Any, **options: Any) -> Any:
+        sent.append(len(given[1]))
+        return submit(self, function, *given, **options)
 
     monkeypatch.setattr(Client, "submit", counted)
     makes = [lambda number=number: {"values": np.full(2, float(number))} for number in range(3)]
