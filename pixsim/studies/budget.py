@@ -266,20 +266,32 @@ def pitches_around_optimum_um(image: SpectralImage, design: ProbeDesign, count: 
     low, high = pitch_range_um(design)
     if low * AROUND >= high:
         return ()
-    scanned = np.geomspace(low, high, SCAN_PITCHES)
-    chain_at = chains_of(image, design, scanned.tolist())
+    scanned = np.geomspace(low, high, SCAN_PITCHES).tolist()
+    chain_at = chains_of(image, design, scanned)
 
     def error(pitch_um: float) -> float:
-        try:
-            return sensor_delta_e(chain_at(pitch_um, 0), design.seed, pitch_um, 0)
-        except PixsimError:
-            if design.imaging.pixel.colour is None or pitch_um == scanned[-1]:
-                raise
-            return math.inf  # channels of small pixels mix until no matrix takes them apart
+        return sensor_delta_e(chain_at(pitch_um, 0), design.seed, pitch_um, 0)
 
-    errors = [error(p) for p in scanned.tolist()]
-    best, low = float(scanned[int(np.argmin(errors))]), float(scanned[int(np.argmax(np.isfinite(errors)))])
-    around = np.geomspace(max(low, best / AROUND), min(high, best * AROUND), count)
+    return pitches_around_least_um(scanned, error, count, coloured=design.imaging.pixel.colour is not None)
+
+
+def pitches_around_least_um(
+    scanned_um: Sequence[float], error: Callable[[float], float], count: int, *, coloured: bool
+) -> tuple[float, ...]:
+    """Return `count` pitches around that of the least error among some, which increase.
+
+    coloured : whether a size without an error is left out; not the largest one
+    """
+    errors = []
+    for pitch_um in scanned_um:
+        try:
+            errors.append(error(pitch_um))
+        except PixsimError:
+            if not coloured or pitch_um == scanned_um[-1]:
+                raise
+            errors.append(math.inf)  # channels of small pixels mix until no matrix takes them apart
+    best, low = scanned_um[int(np.argmin(errors))], scanned_um[int(np.argmax(np.isfinite(errors)))]
+    around = np.geomspace(max(low, best / AROUND), min(scanned_um[-1], best * AROUND), count)
     return tuple(float(f"{p:.4g}") for p in around)
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import csv
 import json
 import re
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -18,11 +19,12 @@ from PIL import Image
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.base.toml import packaged
-from pixsim.report.maps import Grid, axis_plates
+from pixsim.report.maps import Grid, Scale, axis_plates
 from pixsim.scene.colour_chart import modulation, write_colour_chart
 from pixsim.studies.cases import cases_of
 from pixsim.studies.parts import parts_table
 from pixsim.studies.pixels import physics_of
+from pixsim.studies.result import CasesResult
 from pixsim.studies.study_file import load_study
 from pixsim.studies.study_settings import Study
 from pixsim.viewer.merging import merge
@@ -34,15 +36,21 @@ SMALL: dict[str, Any] = {
     **{"pixel": {"stack": {"enabled": False}}, "display": {"dots": 24}, "pitch": {"values_um": [2.0, 2.5, 3.0, 4.0, 6.0]}},
 }
 FEW_PIXELS: dict[str, Any] = {"camera": {"die_mm": 0.1}}
+TOO_SMALL_UM = [0.45, 0.5, 0.55, 0.6]  # for these filters
 CAMERA = {"sensitivities": "Sony_ILCE-7M4", "peak_quantum_efficiency": 0.65}
-FILTERS = {
-    "name": "filters",
-    "values": [
-        {"label": "none", "set": {"pixel": {"bits": 10}}},
-        {"label": "RGGB", "set": {"pixel": {"colour": CAMERA}}},
-        {"label": "quad", "set": {"pixel": {"colour": {"pattern": "quad_rggb", "binning": True, **CAMERA}}}},
-    ],
+PIXELS = {"none": {"bits": 10}, "RGGB": {"colour": CAMERA}, "quad": {"colour": CAMERA | {"pattern": "quad_rggb", "binning": True}}}
+FILTERS = {"name": "filters", "values": [{"label": name, "set": {"pixel": pixel}} for name, pixel in PIXELS.items()]}
+
+
+def small(**over: Any) -> Study:
+    return Study.model_validate(merge(SMALL, over))
+
+
+STACKS = {
+    "name": "stack",
+    "values": [{"label": name, "set": {"pixel": {"stack": {"enabled": name == "deep"}}}} for name in ("open", "deep")],
 }
+LENSES = {"name": "f", "set": "camera.f_number", "values": [2.8, 4.0]}
 
 
 def rows_of(folder: Path, filters: str | None = None) -> list[dict[str, str]]:
@@ -53,8 +61,8 @@ def rows_of(folder: Path, filters: str | None = None) -> list[dict[str, str]]:
 
 @pytest.mark.filterwarnings("ignore:.*black level")
 def test_study_of_filters(tmp_path: Path) -> None:
-    pixsim.study(Study.model_validate(SMALL), out=tmp_path / "plain", jobs=1)
-    result = pixsim.study(Study.model_validate(merge(SMALL, {"axis": [FILTERS]})), out=tmp_path / "filters", jobs=1)
+    assert not parts_table(pixsim.study(small(), out=tmp_path / "plain", jobs=1)), "a monochrome study has none"
+    result = pixsim.study(small(axis=[FILTERS]), out=tmp_path / "filters", jobs=1)
     assert rows_of(tmp_path / "filters", "none") == rows_of(tmp_path / "plain")
     assert len(rows_of(tmp_path / "filters", "RGGB")) == len(rows_of(tmp_path / "plain"))
     table = parts_table(result)
@@ -77,9 +85,8 @@ def test_sizes_whose_colours_mix_are_left_out(tmp_path: Path) -> None:
     kept = [1.2, 2.0, 2.5, 3.0, 4.0]
 
     def run(folder: str, *more_um: float, **settings: Any) -> pixsim.StudyResult:
-        table = merge(SMALL, {"pixel": pixel, "resolution": COARSE, "pitch": {"values_um": [*more_um, *kept]}, **settings})
-        table = merge(table, FEW_PIXELS)
-        return pixsim.study(Study.model_validate(table), out=tmp_path / folder, jobs=1)
+        study = small(pixel=pixel, pitch={"values_um": [*more_um, *kept]}, **FEW_PIXELS, **settings)
+        return pixsim.study(study, out=tmp_path / folder, jobs=1)
 
     run("alone")
     for _ in range(2):
@@ -90,57 +97,38 @@ def test_sizes_whose_colours_mix_are_left_out(tmp_path: Path) -> None:
         assert [pitch_um for pitch_um, _ in curve.left_out] == [0.45, 0.6]
         assert list(result.as_dict()["curves"][0]["left_out"]) == ["0.45", "0.6"]
         assert rows_of(tmp_path / "mixed") == rows_of(tmp_path / "alone")
-    lens = {"name": "lens", "set": "camera.f_number", "values": [2.8, 4.0]}
-    result = run("axis", 0.45, axis=[lens])
+    result = run("axis", 0.45, axis=[LENSES])
     assert [curve.pitch_um.tolist() for curve in result.curves] == [kept, kept]
 
 
 def test_study_without_axes_has_parts_of_its_error(tmp_path: Path) -> None:
-    """One row for its one curve; a monochrome study has none."""
-    for colour, columns in ((CAMERA, 8), (None, 0)):
-        coarse = {"resolution": COARSE, "pixel": {"stack": {"enabled": False}, "black_level_dn": 64, "bits": 12, "colour": colour}}
-        folder = tmp_path / str(columns)
-        table = parts_table(pixsim.study(Study.model_validate(merge(SMALL, coarse)), out=folder, jobs=1))
-        assert len(table) == (columns and columns + 1)
-        if table:
-            (total,), (pitch_um,) = table["mean_delta_e"], table["pitch_um"]
-            assert total == pytest.approx(result_at(folder, str(pitch_um)), abs=1e-9)
-            assert table["crosstalk"] == [0.0]
+    """One row for its one curve."""
+    pixel = {"black_level_dn": 64, "bits": 12, "colour": CAMERA}
+    table = parts_table(pixsim.study(small(pixel=pixel), out=tmp_path, jobs=1))
+    assert len(table) == 9
+    (total,), (pitch_um,) = table["mean_delta_e"], table["pitch_um"]
+    first = next(row for row in rows_of(tmp_path) if (row["pitch_um"], row["repeat"]) == (str(pitch_um), "0"))
+    assert total == pytest.approx(float(first["mean_delta_e"]), abs=1e-9)
+    assert table["crosstalk"] == [0.0]
 
 
-def result_at(folder: Path, pitch_um: str) -> float:
-    """The mean ΔE of the first sensor of a pitch, in results.csv."""
-    return next(float(row["mean_delta_e"]) for row in rows_of(folder) if (row["pitch_um"], row["repeat"]) == (pitch_um, "0"))
+STACKED: dict[str, Any] = {"colour": CAMERA, "stack": {"enabled": True}}
 
 
 @pytest.mark.filterwarnings("ignore:.*Fresnel")
 @pytest.mark.parametrize(
-    ("sizes_um", "axis", "words"),
+    ("largest_um", "axis", "words"),
     [
-        pytest.param(
-            [0.45, 0.5, 0.55, 0.6, 0.65],
-            [],
-            "4t-bsi: none of its pixel sizes is possible. pixels of 0.65 µm",
-            marks=pytest.mark.slow,  # the last has it
-        ),
-        ([0.45, 0.5, 0.55, 0.6, 2.0], [], "4t-bsi: 1 of 5 pixel sizes are possible, and a curve needs 3. pixels of 0.6 µm"),
-        ([0.45, 0.5, 0.55, 0.6, 0.65], [{"name": "f", "set": "camera.f_number", "values": [4.0]}], "4t-bsi, f 4: none of its"),
+        (2.0, [], "4t-bsi: 1 of 5 pixel sizes are possible, and a curve needs 3. pixels of 0.6 µm"),
+        (0.65, [{"name": "f", "set": "camera.f_number", "values": [4.0]}], "4t-bsi, f 4: none of its"),
     ],
-    ids=["none", "few", "case"],
+    ids=["few", "case"],
 )
-def test_study_without_possible_sizes_names_the_case(tmp_path: Path, sizes_um: list[float], axis: list[Any], words: str) -> None:
-    pixel = {"colour": CAMERA, "stack": {"enabled": True}}
-    table = merge(SMALL, {"pixel": pixel, "pitch": {"values_um": sizes_um}, "axis": axis, "resolution": 64})
-    table = merge(table, FEW_PIXELS)
+def test_study_without_possible_sizes_names_the_case(tmp_path: Path, largest_um: float, axis: list[Any], words: str) -> None:
+    sizes = {"values_um": [*TOO_SMALL_UM, largest_um]}
+    study = small(pixel=STACKED, pitch=sizes, axis=axis, resolution=64, **FEW_PIXELS)
     with pytest.raises(PixsimError, match=f"{words}.*noise gains"):
-        pixsim.study(Study.model_validate(table), out=tmp_path / "out", jobs=1)
-
-
-STACKS = {
-    "name": "stack",
-    "values": [{"label": name, "set": {"pixel": {"stack": {"enabled": name == "deep"}}}} for name in ("open", "deep")],
-}
-LENSES = {"name": "f", "set": "camera.f_number", "values": [2.8, 4.0]}
+        pixsim.study(study, out=tmp_path / "out", jobs=1)
 
 
 @pytest.mark.filterwarnings("ignore:.*Fresnel", "ignore:.*black level")
@@ -154,10 +142,8 @@ LENSES = {"name": "f", "set": "camera.f_number", "values": [2.8, 4.0]}
 )
 def test_cases_with_too_few_possible_sizes_are_left_out_with_the_reason(tmp_path: Path, largest_um: float, reason: str) -> None:
     """By TOML on the command line and in Python: the others have their curves, figures and pages."""
-    table = merge(
-        SMALL, {"pixel": {"colour": CAMERA}, "pitch": {"values_um": [0.45, 0.5, 0.55, 0.6, largest_um]}, "resolution": COARSE}
-    )
-    table = merge(table, {"axis": [STACKS, LENSES]} | FEW_PIXELS)
+    own = {"pixel": {"colour": CAMERA}, "pitch": {"values_um": [*TOO_SMALL_UM, largest_um]}, "axis": [STACKS, LENSES]}
+    table = merge(SMALL, own | FEW_PIXELS)
     study = Study.model_validate(table)
     with pytest.warns(UserWarning, match=rf"a case is left out: 4t-bsi, deep, f 4: {re.escape(reason)}"):
         result = pixsim.study(study, out=tmp_path / "python", jobs=1)
@@ -165,6 +151,7 @@ def test_cases_with_too_few_possible_sizes_are_left_out_with_the_reason(tmp_path
     assert [text.partition(":")[0] for text in result.left_out] == [f"4t-bsi, deep, f {f_number}" for f_number in (2.8, 4)]
     assert result.as_dict()["left_out"] == list(result.left_out)
     assert len(result.notes) >= 2
+    assert len(axis_plates(result)) == 5
     if largest_um > 1:  # nothing of the page depends on the reason
         text = "".join(f"{name} = {toml_of(value)}\n" for name, value in table.items())
         (tmp_path / "study.toml").write_text(text, encoding="utf-8")
@@ -177,17 +164,19 @@ def test_cases_with_too_few_possible_sizes_are_left_out_with_the_reason(tmp_path
         assert "Not shown are values with cases that are left out: 1 of stack." in page
 
 
-def test_figures_show_values_of_which_all_cases_are_there(tmp_path: Path) -> None:
+def test_figures_show_values_of_which_all_cases_are_there() -> None:
     """Of two axes with one case left out, the value that lacks more of its cases is not shown."""
-    table = merge(SMALL, {"resolution": COARSE, "axis": [STACKS, merge(LENSES, {"values": [2.8, 4.0, 5.6]})]})
-    result = pixsim.study(Study.model_validate(table), out=tmp_path, jobs=1)
-    kept = replace(result, parts=tuple(part for part in result.parts if part.curves[0].at != {"stack": "deep", "f": 4.0}))
-    scales = Grid(kept).scales
-    assert [scale.values for scale in scales] == [("open", "deep"), (2.8, 5.6)]
-    assert [scale.lacking for scale in scales] == [0, 1]
-    assert len(axis_plates(kept)) == 5
-    none = replace(result, parts=tuple(part for part in result.parts if part.curves[0].at["stack"] == "open"))
-    assert [scale.values for scale in Grid(none).scales] == [("open",), (2.8, 4.0, 5.6)]
+    study = small(axis=[STACKS, LENSES | {"values": [2.8, 4.0, 5.6]}])
+
+    def scales(is_there: Callable[[dict[str, Any]], bool]) -> list[Scale]:
+        curves = [SimpleNamespace(technology="4t-bsi", at=case.at, condition="", alone="") for case in cases_of(study)]
+        parts = [SimpleNamespace(curves=(curve,)) for curve in curves if is_there(curve.at)]
+        return Grid(cast("CasesResult", SimpleNamespace(study=study, parts=parts))).scales
+
+    found = scales(lambda at: at != {"stack": "deep", "f": 4.0})
+    assert [scale.values for scale in found] == [("open", "deep"), (2.8, 5.6)]
+    assert [scale.lacking for scale in found] == [0, 1]
+    assert [scale.values for scale in scales(lambda at: at["stack"] == "open")] == [("open",), (2.8, 4.0, 5.6)]
 
 
 def test_packaged_study_of_filters_is_possible() -> None:
@@ -219,22 +208,18 @@ def red_green(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_study_does_not_compare_monochrome_and_colour_in_a_coloured_scene(red_green: Path, tmp_path: Path) -> None:
     """Nor does it evaluate anything: the error comes before."""
     coarse = {"resolution": 32, "render_noise": 1e3, "pitch": {"values_um": [4.0, 5.0, 6.0, 7.0, 8.0]}}
-    table = merge(SMALL, {**coarse, "scene": {"file": str(red_green)}, "axis": [merge(FILTERS, {"values": FILTERS["values"][:2]})]})
+    study = small(**coarse, scene={"file": str(red_green)}, axis=[FILTERS | {"values": FILTERS["values"][:2]}])
     with pytest.raises(PixsimError, match=r"4t-bsi, none without colour filters and 4t-bsi, RGGB with them, in a coloured scene"):
-        pixsim.study(Study.model_validate(table), out=tmp_path, jobs=1)
+        pixsim.study(study, out=tmp_path, jobs=1)
 
 
 @pytest.mark.slow  # test_compare compares, and a run and a study have the colours
 @pytest.mark.filterwarnings("ignore:.*Fresnel")
 def test_comparison_in_colour(red_green: Path, tmp_path: Path) -> None:
     """From the command to the page: the better filters win, with the white of the chart, pictures in colour, and their matrices."""
-    from helpers.commands import command
-
-    sensors = {"quiet": {"pitch_um": 2.0}, "noisy": {"pitch_um": 2.0, "read_noise_e": 60.0}}
-    for name, pixel in sensors.items():
-        fields = "\n".join(f"{key} = {value}" for key, value in pixel.items())
-        colour = '[pixel.colour]\nsensitivities = "Sony_ILCE-7M4"\npeak_quantum_efficiency = 0.65'
-        text = f'[camera]\ndie_mm = 0.2\n[pixel]\ntechnology = "4t-bsi"\nblack_level_dn = 64\n{fields}\n{colour}\n'
+    for name, more in (("quiet", {}), ("noisy", {"read_noise_e": 60.0})):
+        pixel = {"technology": "4t-bsi", "pitch_um": 2.0, "black_level_dn": 64, "colour": CAMERA} | more
+        text = f"camera = {{ die_mm = 0.2 }}\npixel = {toml_of(pixel)}\n"
         (tmp_path / f"{name}.toml").write_text(text, encoding="utf-8")
     files = f"{tmp_path / 'quiet.toml'} {tmp_path / 'noisy.toml'}"
     options = "--resolution 64 --display.dots 32 --render-noise 1 --repeats 2 --jobs 1 --exposure.integration-s 0.002 --json"
@@ -257,8 +242,6 @@ def test_comparison_in_colour(red_green: Path, tmp_path: Path) -> None:
 
 
 def test_run_in_colour_writes_coloured_pictures(tmp_path: Path) -> None:
-    from helpers.commands import command
-
     options = "--pixel.technology 4t-bsi --pixel.pitch-um 20 --pixel.colour.matrix RG,GB --pixel.colour.sensitivities Nikon_D810"
     options += " --pixel.colour.peak-quantum-efficiency 0.5 --display.dots 64 --resolution 48 --render-noise 1e4"
     options += " --develop.demosaic malvar2004 --variant scalar_spectral --json"

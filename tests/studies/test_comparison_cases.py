@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from helpers.commands import assert_refused, command
 from helpers.sheets import sheet
+from helpers.tiny import toml_of
 
 import pixsim
 from pixsim.studies.comparison_cases import ComparedCases, cases_of_comparison
@@ -51,17 +52,15 @@ def test_headline_says_where_which_is_better(axes: list[dict[str, Any]], signs: 
 
 
 def test_conditions_hold_at_each_value() -> None:
-    conditions = [
-        {"name": "day", "weight": 3.0, "set": {"camera": {"f_number": 4.0}}},
-        {"name": "night", "set": {"resolution": 48}},
-    ]
+    day = {"name": "day", "weight": 3.0, "set": {"camera": {"f_number": 4.0}}}
+    conditions = [day, {"name": "night", "set": {"resolution": 48}}]
     _, found = cases_of_comparison(Study.model_validate({"name": "both", "axis": [LIGHT], "condition": conditions}))
     assert [case.at for case in found] == [{"light": value} for value in (100.0, 0.05, 1.0)]
     for case in found:
-        day, night = case.settings.condition
         light = {"parameters": {"luminance_cd_per_m2": case.at["light"]}}
-        assert (day.weight, day.set) == (3.0, {"camera": {"f_number": 4.0}, "scene": light})
-        assert night.set == {"resolution": 48, "scene": light}
+        by_day, by_night = case.settings.condition
+        assert (by_day.weight, by_day.set) == (3.0, {"camera": {"f_number": 4.0}, "scene": light})
+        assert by_night.set == {"resolution": 48, "scene": light}
 
 
 def test_study_without_axes_has_no_cases() -> None:
@@ -72,10 +71,8 @@ def test_each_value_is_a_comparison_of_its_own(tmp_path: Path, monkeypatch: pyte
     """Bit for bit; its folder has the comparison, and compare.json all cases."""
     monkeypatch.chdir(tmp_path)
     files = [sheet(Path("a.toml"), 10.0), sheet(Path("b.toml"), 30.0)]
-    Path("lights.toml").write_text(
-        'name = "lights"\n[[axis]]\nname = "light"\nset = "scene.parameters.luminance_cd_per_m2"\nvalues = [0.05, 100.0]\n',
-        encoding="utf-8",
-    )
+    axis = toml_of(LIGHT | {"values": [0.05, 100.0]})
+    Path("lights.toml").write_text(f'name = "lights"\naxis = [{axis}]\n', encoding="utf-8")
     code, out, err = command(f"compare a.toml b.toml --study lights.toml --out out {SMALL}")
     assert code == 0, err
     found = json.loads(Path("out/compare.json").read_text(encoding="utf-8"))
@@ -103,6 +100,6 @@ def test_each_value_is_a_comparison_of_its_own(tmp_path: Path, monkeypatch: pyte
 def test_axis_over_a_range_of_technologies_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     sheet(Path("a.toml")), sheet(Path("b.toml"), 5.0)
-    axis = 'name = "dark"\nrange_of = "dark_current_na_per_cm2"\nalone = true\n'
-    Path("dark.toml").write_text(f'name = "dark"\ntechnologies = ["0.35um"]\n[[axis]]\n{axis}', encoding="utf-8")
+    axis = toml_of({"name": "dark", "range_of": "dark_current_na_per_cm2", "alone": True})
+    Path("dark.toml").write_text(f'name = "dark"\ntechnologies = ["0.35um"]\naxis = [{axis}]\n', encoding="utf-8")
     assert_refused(*command("compare a.toml b.toml --study dark.toml"), ["set.process", "from their own files"])

@@ -28,10 +28,8 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
 def test_each_viewing_is_the_study_with_that_display(result: StudyResult, tmp_path: Path) -> None:
     """Half and twice the dots of 64 columns, and half and twice the dots per degree; bit for bit, with as many sensors."""
     (curve,) = result.curves
-    assert {each.viewing for each in curve.viewed} == {
-        *(Viewing(dots, 23.0) for dots in (32, 128)),
-        *(Viewing(64, degree) for degree in (11.5, 46.0)),
-    }
+    others = ((32, 23.0), (128, 23.0), (64, 11.5), (64, 46.0))
+    assert {each.viewing for each in curve.viewed} == {Viewing(*each) for each in others}
     assert all(each.inside for each in curve.viewed)
     assert len({each.optimum.mean_delta_e for each in curve.viewed}) == 4
     for each in curve.viewed[1:3]:
@@ -50,10 +48,8 @@ def test_headline_says_how_far_the_optimum_goes(result: StudyResult) -> None:
         own = replace(curve.fit, optimum=replace(curve.optimum, pitch_um=20.0))
         return optimum_line(replace(curve, fit=own, viewed=tuple(views)))
 
-    first = curve.viewed[0].viewing
-    assert f"; in the range of viewing the best size goes from 15 to 25 µm: 15 µm on {first}, 17 µm on " in seen(
-        15.0, 17.0, 25.0, 19.0
-    )
+    words = f"; in the range of viewing the best size goes from 15 to 25 µm: 15 µm on {curve.viewed[0].viewing}, 17 µm on "
+    assert words in seen(15.0, 17.0, 25.0, 19.0)
     assert seen(20.0, 20.0, 20.1, 20.0).endswith("; in the range of viewing it is 20 µm too")
     assert "on other displays than the one stated the best size goes from 15 to 25" in seen(15.0, 17.0, 25.0, 19.0, inside=False)
     assert result.as_dict()["curves"][0]["views"] == [each.as_dict() for each in curve.viewed]
