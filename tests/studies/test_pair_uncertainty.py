@@ -39,7 +39,6 @@ def of(*files: Path, draws: int = DRAWS, **options: Any) -> Any:
 @pytest.mark.parametrize(
     ("range_a", "range_b", "expected"),
     [
-        ((10.0, 30.0), (10.0, 30.0), 0.5),
         ((10.0, 30.0), (20.0, 40.0), 0.875),  # 1 - 10² / (2 · 20²): the triangle in which b has less noise
         ((25.0, 35.0), (10.0, 20.0), 0.0),
     ],
@@ -49,7 +48,7 @@ def test_probability_is_that_of_less_read_noise(
 ) -> None:
     """With equal random numbers, mean ΔE grows with read noise: a is better where its read noise is smaller."""
     files = [unsure(tmp_path / f"{name}.toml", sum(ends) / 2, *ends) for name, ends in (("a", range_a), ("b", range_b))]
-    (found,) = of(*files, resolution=64).uncertainty
+    (found,) = of(*files).uncertainty
     better = found.probability_a_better
     assert better.low <= expected <= better.high
     assert better.probability == pytest.approx(expected, abs=2 * np.sqrt(expected * (1 - expected) / DRAWS))
@@ -67,7 +66,9 @@ def test_types_are_judged_by_each_metric(tmp_path: Path) -> None:
     scene = {"scene": "target", "parameters": target, "uncertainty": 8, **SMALL}
     result = pixsim.compare(files, metrics=["information", "detectability"], **scene)
     assert [each.metric.name for each in result.uncertainty] == ["delta_e", "information", "detectability"]
-    (alone,) = pixsim.compare(files, **scene).uncertainty
+    of_delta_e = pixsim.compare(files, **scene)
+    (alone,) = of_delta_e.uncertainty
+    assert of_delta_e.difference == result.difference
     np.testing.assert_array_equal(result.uncertainty[0].differences, alone.differences)
     noise = {name: np.array([draw[f"{name} read_noise_e"] for draw in alone.sample.draws]) for name in "ab"}
     for found in result.uncertainty[1:]:
@@ -106,33 +107,26 @@ def test_sensors_of_one_technology_share_its_numbers(tmp_path: Path) -> None:
     assert "does not vary" in found.words
 
 
-def test_pair_without_an_unknown_number_is_left_out(tmp_path: Path) -> None:
-    certain = [sheet(tmp_path / f"{name}.toml", read_noise_e) for name, read_noise_e in (("a", 20.0), ("b", 25.0))]
-    result = of(*certain, unsure(tmp_path / "c.toml", 20.0, 10.0, 30.0), draws=8)
-    assert [found.names for found in result.uncertainty] == [("a", "c")]
-    assert "a and b: no number of these two is unknown, so that nothing is drawn for them" in result.notes
-
-
 def test_third_sensor_and_conditions_change_no_type_of_a_pair(tmp_path: Path) -> None:
-    """Types of a pair see what the pair sees; under conditions, their differences are weighted means."""
-    files = [unsure(tmp_path / "a.toml", 20.0, 10.0, 30.0), sheet(tmp_path / "b.toml", 25.0)]
+    """Types of a pair see what the pair sees, and a pair without an unknown number has none.
+
+    Under conditions, their differences are weighted means; numbers that one sets are known in it: there, these two are alike.
+    """
+    files = [sheet(tmp_path / "a.toml", 25.0), unsure(tmp_path / "b.toml", 20.0, 10.0, 30.0)]
     pair = of(*files, draws=8).uncertainty[0]
     among = of(*files, sheet(tmp_path / "c.toml", 9.0, 15.0, "[40, 40]"), draws=8)
-    assert [found.names for found in among.uncertainty] == [("a", "b"), ("a", "c")]
+    assert [found.names for found in among.uncertainty] == [("a", "b")]
+    assert "a and c: no number of these two is unknown, so that nothing is drawn for them" in among.notes
     np.testing.assert_allclose(among.uncertainty[0].differences, pair.differences, rtol=1e-12)
     short = {"exposure": {"max_integration_s": 0.02}}
-    conditions = [{"name": "long", "weight": 3.0, "set": {"exposure": {"max_integration_s": 0.1}}}, {"name": "short", "set": short}]
-    study = Study.model_validate({"name": "two", "condition": conditions})
-    (both,) = of(*files, draws=8, study=study).uncertainty
+    conditions = [
+        {"name": "long", "weight": 3.0, "set": {"exposure": {"max_integration_s": 0.1}}},
+        {"name": "short", "set": short},
+        {"name": "set", "weight": 4.0, "set": {"pixel": {"read_noise_e": 5.0}}},
+    ]
+    (all_three,) = of(*files, draws=8, study=Study.model_validate({"name": "three", "condition": conditions})).uncertainty
     (alone,) = of(*files, draws=8, **short).uncertainty
-    np.testing.assert_allclose(both.differences, 0.75 * pair.differences + 0.25 * alone.differences, rtol=1e-9)
-
-
-def test_numbers_that_a_condition_sets_are_known_in_it(tmp_path: Path) -> None:
-    files = [unsure(tmp_path / "a.toml", 20.0, 10.0, 30.0), sheet(tmp_path / "b.toml", 25.0)]
-    study = Study.model_validate({"name": "one", "condition": [{"name": "set", "set": {"pixel": {"read_noise_e": 5.0}}}]})
-    (found,) = of(*files, draws=8, study=study).uncertainty
-    assert np.array_equal(found.differences, np.zeros(8))
+    np.testing.assert_allclose(all_three.differences, 0.375 * pair.differences + 0.125 * alone.differences, rtol=1e-9)
 
 
 def test_settings_repeat_the_types_and_an_interrupted_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -170,15 +164,13 @@ def test_settings_repeat_the_types_and_an_interrupted_run_goes_on(tmp_path: Path
     assert json.loads(Path("first/compare.json").read_text(encoding="utf-8")) == first
 
 
-def test_dry_run_says_what_is_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    unsure(Path("a.toml"), 20.0, 10.0, 30.0), sheet(Path("b.toml"), 25.0)
-    assert "16 sensor types, over a read_noise_e" in command("compare a.toml b.toml --uncertainty 9 --dry-run")[1]
+def test_dry_run_says_what_is_drawn(tmp_path: Path) -> None:
+    files = unsure(tmp_path / "a.toml", 20.0, 10.0, 30.0), sheet(tmp_path / "b.toml", 25.0)
+    assert "16 sensor types, over a read_noise_e" in command("compare --uncertainty 9 --dry-run", *files)[1]
 
 
-def test_nothing_unknown_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_nothing_unknown_is_refused(tmp_path: Path) -> None:
     files = [sheet(tmp_path / "a.toml"), sheet(tmp_path / "b.toml", 5.0)]
     with pytest.raises(PixsimError, match="at least one number with a range or an uncertainty"):
         of(*files)
-    assert_refused(*command("compare a.toml b.toml --uncertainty 3"), ["--uncertainty", "8 to 65536 sensor types"])
+    assert_refused(*command("compare --uncertainty 3", *files), ["--uncertainty", "8 to 65536 sensor types"])
