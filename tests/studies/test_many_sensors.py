@@ -19,10 +19,9 @@ METRICS = ["delta_e", "visual_noise", "information"]
 COLOUR = {"sensitivities": "Sony_ILCE-7M4", "peak_quantum_efficiency": 0.65}
 
 
-def light_of(seed=1, header=None):
+def light_of(seed=1):
     data = 1e-3 * (1 + np.random.default_rng(seed).random((64, 64, 3)))
-    header = header or {"diffraction": False}
-    return SpectralImage([450.0, 550.0, 620.0], 30.0, 10.0, data=data.astype(np.float32), header=header)
+    return SpectralImage([450.0, 550.0, 620.0], 30.0, 10.0, data=data.astype(np.float32), header={"diffraction": False})
 
 
 @pytest.fixture(scope="module")
@@ -68,9 +67,8 @@ def test_pixels_of_several_sizes_are_scored_on_the_same_dots(light):
 
 def test_metric_without_a_number_for_one_of_the_sensors_is_nan(light):
     """The deep well shows its surfaces, the shallow one is full of the brighter one."""
-    wells = {"shallow": 300.0, "deep": 1e6}
     sheet = {"technology": "none", "pitch_um": 10.0, "quantum_efficiency": 0.5, "read_noise_e": 2.0, "dark_current_e_per_s": 0.0}
-    pixels = {name: Pixel(full_well_e=well_e, **sheet) for name, well_e in wells.items()}
+    pixels = {name: Pixel(full_well_e=well_e, **sheet) for name, well_e in (("shallow", 300.0), ("deep", 1e6))}
     own = {"camera": CAMERA, "display": DISPLAY, "exposure": Exposure(integration_s=0.01), "metrics": ["delta_e", "niirs"]}
     with pytest.warns(UserWarning, match="pixel shallow: the metric niirs: got .* full at 300 e-"):
         table = sweep(light, pixels, **own, jobs=1)
@@ -103,8 +101,7 @@ def test_white_that_nobody_states_is_one_for_all(light):
 
 @pytest.mark.parametrize("display", [DISPLAY, Display(raster="one_to_one", white_cd_per_m2=3000.0)])
 def test_detectability_has_the_light_without_its_target(light, display):
-    dark = SpectralImage(light.wavelength_nm, light.band_width_nm, 10.0, data=0.99 * light.data, header=light.header)
-    own = {"display": display, "metrics": ["detectability"], "without": dark}
+    own = {"display": display, "metrics": ["detectability"], "without": light.with_planes(0.99 * light.planes)}
     row = sweep(light, [SAME_SIZE["phone"]], camera=CAMERA, jobs=1, **own)[0]
     score = evaluate(light, CAMERA, SAME_SIZE["phone"], **own)
     assert row["detectability"] == score.metrics["detectability"] > 1
