@@ -12,7 +12,7 @@ from helpers.tiny import tiny
 from pixsim.base import cache
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
-from pixsim.studies.keys import EVALUATED, OF_FRAME, OF_LIGHT, OF_SCORE, OF_WORDS, evaluated_before, light_hash, remember_evaluated
+from pixsim.studies.keys import EVALUATED, evaluated_before, light_hash, remember_evaluated
 from pixsim.studies.series import scenes_of, series_of
 from pixsim.studies.study_settings import Study
 
@@ -97,17 +97,6 @@ def test_settings_of_a_metric_count_where_it_is_asked_for(name: str, table: dict
 def test_raster_decides_on_the_frame_too() -> None:
     """A frame is registered with a display of dots, not with one of a dot for each pixel."""
     assert made_anew(tiny(), display=tiny(display={"raster": "one_to_one"}).display) == {"light", "frame", "score"}
-
-
-# On which no frame depends: what is said of them, which of them are made, and the cases, whose settings are their own.
-OF_NO_FRAME = {*OF_WORDS, "repeats", "max_repeats", "target_ci_um", "max_evaluations", "refine", "axis", "condition", "quick"}
-
-
-def test_every_setting_belongs_to_a_stage() -> None:
-    """A setting that no stage states would be in no key: two lights or frames would be taken for one."""
-    stated = {*OF_LIGHT, *OF_FRAME, *OF_SCORE, *NAMES} | OF_NO_FRAME
-    assert stated == set(Study.model_fields)
-    assert not {*OF_LIGHT, *OF_FRAME, *OF_SCORE} & OF_NO_FRAME
 
 
 def test_a_study_of_many_cases_is_remembered_by_one_entry(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

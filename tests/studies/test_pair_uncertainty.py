@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.base.toml import SETTINGS_FILE
 from pixsim.report.compare import _unknown
-from pixsim.studies import evaluations
+from pixsim.sensor.readout import Frame
 from pixsim.studies.sensor_types import TYPES_FILE
 from pixsim.studies.study_settings import Study
 
@@ -129,39 +128,32 @@ def test_third_sensor_and_conditions_change_no_type_of_a_pair(tmp_path: Path) ->
     np.testing.assert_allclose(all_three.differences, 0.375 * pair.differences + 0.125 * alone.differences, rtol=1e-9)
 
 
-def test_settings_repeat_the_types_and_an_interrupted_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_settings_repeat_the_types_and_an_interrupted_run_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, evaluations: list[Frame]
+) -> None:
+    """The line of settings.toml takes up a table of types that was cut off, and finds the same."""
     monkeypatch.chdir(tmp_path)
     unsure(Path("a.toml"), 20.0, 10.0, 30.0), sheet(Path("b.toml"), 25.0)
     small = f"--display.dots 32 --resolution {COARSE} --repeats 2 --jobs 1 -D luminance_cd_per_m2=1"
     _, out, _ = command(f"compare a.toml b.toml --uncertainty 8 {small} --out first")
-    first = json.loads(Path("first/compare.json").read_text(encoding="utf-8"))
+    monkeypatch.chdir("first")
+    first = json.loads(Path("compare.json").read_text(encoding="utf-8"))["uncertainty"]
     (words,) = [line for line in out.splitlines() if "over 8 sensor types a is better than b with the probability" in line]
     assert "a read_noise_e" in words or "not told" in words
-    assert first["uncertainty"]["b"]["draws"] == 8
-    page = Path("first/report.html").read_text(encoding="utf-8")
-    assert f"{first['uncertainty']['b']['difference']['quantiles']['p50']:+.4f}" in page
+    assert first["b"]["draws"] == 8
+    page = Path("report.html").read_text(encoding="utf-8")
+    assert f"{first['b']['difference']['quantiles']['p50']:+.4f}" in page
     assert TYPES_FILE in page
 
-    repeat = next(
-        line for line in Path("first", SETTINGS_FILE).read_text(encoding="utf-8").splitlines() if "pixsim compare" in line
-    )
-    monkeypatch.chdir("first")
-    command(" ".join(shlex.split(repeat.removeprefix("# "))[1:]) + " --jobs 1 --out ../again")
-    again = json.loads(Path("../again/compare.json").read_text(encoding="utf-8"))
-    assert again["uncertainty"] == first["uncertainty"]
-
-    monkeypatch.chdir(tmp_path)
-    types = Path("first", TYPES_FILE)
-    lines = types.read_text(encoding="utf-8").splitlines(keepends=True)
+    lines = Path(TYPES_FILE).read_text(encoding="utf-8").splitlines(keepends=True)
     assert len(lines) == 1 + 2 * 8 * 2
-    types.write_text("".join(lines[:9]), encoding="utf-8")
-    made: list[int] = []
-    evaluate = evaluations.evaluate_task
-    monkeypatch.setattr(evaluations, "evaluate_task", lambda task, light: made.append(len(task.keys)) or evaluate(task, light))
-    command(f"compare a.toml b.toml --uncertainty 8 {small} --out first")
+    Path(TYPES_FILE).write_text("".join(lines[:9]), encoding="utf-8")
+    (repeat,) = [line for line in Path(SETTINGS_FILE).read_text(encoding="utf-8").splitlines() if "pixsim compare" in line]
+    evaluations.clear()
+    command(repeat.removeprefix("# pixsim ") + " --jobs 1 --out .")
     keys = [line.partition(",")[0] for line in lines[1:]]
-    assert sum(made) == len(set(keys[8:]) - set(keys[:8])) > 0
-    assert json.loads(Path("first/compare.json").read_text(encoding="utf-8")) == first
+    assert len(evaluations) - 2 == len(set(keys[8:]) - set(keys[:8])) > 0, "and one of each sensor for the page"
+    assert json.loads(Path("compare.json").read_text(encoding="utf-8"))["uncertainty"] == first
 
 
 def test_dry_run_says_what_is_drawn(tmp_path: Path) -> None:

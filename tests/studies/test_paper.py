@@ -288,14 +288,6 @@ def test_frequency_contrast_table_bin_centres() -> None:
     assert contrast[[0, -1]] == pytest.approx([975 / 1025 * 0.01 ** (15 / 16), 975 / 1025 * 0.01 ** (1 / 16)])
 
 
-def test_by_frequency_uses_every_column() -> None:
-    x = (np.arange(512) + 0.5) / 512
-    actual = by_frequency(np.tile(x, (8, 1)))[0]
-    # Bins of 85 and 86 dots: 2/6 of a dot too wide at most at either end.
-    np.testing.assert_allclose(actual, (np.arange(6) + 0.5) / 6, atol=1.5 / 512)
-    assert (86 * actual[:2].sum() + 85 * actual[2:].sum()) / 512 == pytest.approx(0.5, abs=1e-12), "a dot was lost"
-
-
 def map_of(thresholds: list[float]) -> Array:
     """ΔE in proportion to contrast, that reaches ISO at a given contrast in each frequency bin."""
     return ISO * CONTRAST / np.repeat(thresholds, COLUMNS // 6)[None, :]

@@ -7,6 +7,7 @@ import math
 import shutil
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,38 +58,36 @@ def unrendered(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    ("pitch_um", "f_number", "dots", "limited_by", "highest"),
+    ("pitch_um", "display", "scene", "expected"),
     [
-        (20.0, 4.0, 400, "the sensor's Nyquist frequency", 25.0),  # the display has a dot a pixel: the same frequency, named first
-        (3.45, 4.0, 2048, "the display's Nyquist frequency", 2048 / 16.0),
-        (3.45, 16.0, 2048, "the lens's cut-off", None),
+        # The display has a dot a pixel: the same frequency, named first.
+        (20.0, {}, {}, {"dots": 400, "max_lp_per_mm": 25.0, "limited_by": "the sensor's Nyquist frequency"}),
+        (3.45, {}, {}, {"dots": 2048, "max_lp_per_mm": 128.0, "limited_by": "the display's Nyquist frequency"}),
+        (10.0, {"dots": 100}, {}, {"max_lp_per_mm": 6.25, "limited_by": "the display's Nyquist frequency"}),
+        # Dots are pixels.
+        (10.0, {"raster": "one_to_one"}, {}, {"max_lp_per_mm": 50.0, "limited_by": "the sensor's Nyquist frequency"}),
+        # The fewest dots that a display has.
+        (1500.0, {}, {"max_lp_per_mm": 20}, {"dots": 8}),
+        (10.0, {}, {"max_lp_per_mm": 20}, {"dots": 800}),
+        (10.0, {}, {"chart": "charts/flat.exr"}, {"dots": 800}),  # a chart of one's own stays
     ],
 )
-def test_choose_view_least_of_three_limits(
-    pitch_um: float, f_number: float, dots: int, limited_by: str, highest: float | None
+def test_choose_view_takes_the_least_of_three_limits_and_keeps_what_was_set(
+    pitch_um: float, display: dict[str, Any], scene: dict[str, Any], expected: dict[str, Any]
 ) -> None:
-    camera = pixsim.Camera(die_mm=8.0, f_number=f_number, focal_length_mm=12.0)
-    view = choose_view(pitch_um, camera, pixsim.Display(), pixsim.load_scene("csf", resolution=64))
-    assert (view["dots"], view["limited_by"]) == (dots, limited_by)
-    if highest is None:  # the lens passes nothing beyond it, and a little just below
-        at = np.array([0.98, 1.0]) * view["max_lp_per_mm"]
-        assert diffraction_otf(at, 550.0, camera.effective_f_number) == pytest.approx([0.0034, 0.0], abs=1e-4)
-    else:
-        assert view["max_lp_per_mm"] == pytest.approx(highest, rel=1e-12)
+    camera = pixsim.Camera(die_mm=8.0, f_number=4.0, focal_length_mm=12.0)
+    view = choose_view(pitch_um, camera, pixsim.Display(**display), pixsim.load_scene("csf", resolution=64, **scene))
+    assert view == expected
 
 
-def test_choose_view_keeps_what_was_set() -> None:
-    camera, scene = pixsim.Camera(), pixsim.load_scene("csf", resolution=64)
-    set_dots = choose_view(10.0, camera, pixsim.Display(dots=100), scene)
-    assert ("dots" in set_dots, set_dots["max_lp_per_mm"]) == (False, 100 / (2 * 2.7136))
-    set_chart = choose_view(10.0, camera, pixsim.Display(), pixsim.load_scene("csf", resolution=64, max_lp_per_mm=20))
-    assert set_chart == {"dots": 271}
-    assert choose_view(10.0, camera, pixsim.Display(), pixsim.load_scene("flat", resolution=64)) == {"dots": 271}
-    own_chart = pixsim.load_scene("csf", chart="charts/flat.exr")
-    assert choose_view(10.0, camera, pixsim.Display(), own_chart) == {"dots": 271}, "a chart of one's own stays"
-    pixels = choose_view(10.0, camera, pixsim.Display(raster="one_to_one"), scene)
-    assert ("dots" in pixels, pixels["max_lp_per_mm"]) == (False, 50.0), "dots are pixels"
-    assert choose_view(500.0, camera, pixsim.Display(), scene)["dots"] == 8, "the fewest that a display has"
+def test_choose_view_ends_at_the_cut_off_of_the_lens() -> None:
+    """The lens passes nothing beyond it, and a little just below."""
+    camera = pixsim.Camera(die_mm=8.0, f_number=16.0, focal_length_mm=12.0)
+    view = choose_view(3.45, camera, pixsim.Display(), pixsim.load_scene("csf", resolution=64))
+    assert (view["dots"], view["limited_by"]) == (2048, "the lens's cut-off")
+    at = np.array([0.98, 1.0]) * view["max_lp_per_mm"]
+    assert diffraction_otf(at, 550.0, camera.effective_f_number) == pytest.approx([0.0034, 0.0], abs=1e-4)
+    assert choose_view(10.0, camera, pixsim.Display(), pixsim.load_scene("flat", resolution=64)) == {"dots": 800}, "no chart"
 
 
 def test_prepare_technology_keeps_paper_display_and_chart() -> None:
