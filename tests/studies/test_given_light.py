@@ -74,6 +74,9 @@ def test_a_target_in_given_light_is_judged_as_in_the_light_of_its_scene(folder, 
     given = study(folder / "small.toml", tmp_path / "given", without=rendered.without, **own)
     assert rows_in(tmp_path / "given") == rows_in(tmp_path / "rendered")
     assert "light=…, without=…), of the light of digest" in given.settings_toml
+    curve = given.curves[0]
+    least = curve.as_dict()["metrics"]["least_detectability"]
+    assert least == curve.statistics["least_detectability"].min(axis=1).tolist(), "the worst, not the mean of the worst"
     dark = rendered.without
     study(folder / "small.toml", tmp_path / "given", without=dark.with_planes(1.02 * dark.planes), **own)
     assert rows_in(tmp_path / "given") != rows_in(tmp_path / "rendered")

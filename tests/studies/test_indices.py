@@ -125,30 +125,6 @@ def test_q2_matches_leaving_each_point_out() -> None:
     assert [regression.q2, process.q2] == [pytest.approx(q2[0], rel=1e-9), pytest.approx(q2[1], rel=1e-6)]
 
 
-def test_process_variances_match_sampling() -> None:
-    """Those of the posterior mean itself, over 2¹⁴ Sobol' points: they integrate a smooth function to 1e-4."""
-    x, y = wavy(64)
-    fit = Process(x, (UNIFORM, NORMAL), y)
-    alone, whole = fit.variances(np.arange(y.size))
-    weight = np.linalg.solve(fit._kernel + fit._nugget * np.eye(y.size), y - y.mean())
-    many = points(1 << 14, 2)
-    places = np.column_stack([UNIFORM.coordinate(many[:, 0]), NORMAL.coordinate(many[:, 1])])
-    mean = kernel(places, lengths_of(fit, x), x) @ weight
-    assert whole == pytest.approx(mean.var(), rel=2e-3)
-    for axis in range(2):
-        order = np.argsort(many[:, axis])
-        by_input = mean[order].reshape(128, -1).mean(axis=1)  # of 128 equal parts of the input
-        assert alone[axis] == pytest.approx(by_input.var(), rel=0.02)
-
-
-def lengths_of(fit: Process, x: np.ndarray) -> np.ndarray:
-    """From the kernel between all points, whose logarithm falls as their squared distances over twice the squared lengths."""
-    logs = np.log(np.maximum(fit._kernel, 1e-300)).ravel()
-    squared = ((x[:, None] - x) ** 2).reshape(-1, x.shape[1])
-    slopes, *_ = np.linalg.lstsq(squared[logs > -500], logs[logs > -500], rcond=None)
-    return np.sqrt(-0.5 / slopes)
-
-
 def test_misfit_matches_normal_distribution() -> None:
     """Its differences are those of -2 log N(y; 0, variance · covariance) at the likeliest variance; its gradient by differences."""
     x, y = wavy(32)

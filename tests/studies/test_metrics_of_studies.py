@@ -206,20 +206,6 @@ def test_study_may_judge_by_another_metric_first(tmp_path: Path) -> None:
     assert (tmp_path / "figures" / "judges.svg").is_file()
 
 
-def test_detectability_takes_the_light_without_the_target(tmp_path: Path) -> None:
-    """The same target of twice the contrast is detected twice as well: a faint one changes the noise by its contrast."""
-    found = []
-    for contrast in (0.01, 0.02):
-        scene = {"file": "target", "parameters": {"size_um": 40.0, "contrast": contrast, "luminance_cd_per_m2": 100.0}}
-        study = tiny(metrics=["detectability"], scene=scene, exposure={"integration_s": 0.01})
-        result = pixsim.study(study, tmp_path / str(contrast), jobs=1)
-        own = result.curves[0]
-        found.append(own.mean("detectability"))
-        least = own.as_dict()["metrics"]["least_detectability"]
-        assert least == own.statistics["least_detectability"].min(axis=1).tolist(), "the worst, not the mean of the worst"
-    np.testing.assert_allclose(found[1] / found[0], 2.0, rtol=0.02)
-
-
 def test_command_line_leaves_the_target_out_by_values_of_parameters(tmp_path: Path) -> None:
     """As a table of a file does: twice the target less one of its contrast is one."""
     words = "run target -D size_um=300 -D luminance_cd_per_m2=100 --resolution 48 --display.dots 32 --metric detectability"

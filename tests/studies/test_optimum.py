@@ -67,6 +67,11 @@ def test_fit_curve_of_parabola(pitches: int, bend: float) -> None:
     assert optimum.inside
     low, high = optimum.interval_um
     assert low < BEST_UM < high < 1.02 * low
+    # 0.5 + bend x² rises by 1 % at x = √(0.005/bend), by 2 % at √(0.01/bend); they are read on steps of 0.13 %, within.
+    for share, (low, high) in ((0.01, optimum.within_1_percent_um), (0.02, optimum.within_2_percent_um)):
+        reach = np.sqrt(MIN_VERSIONS * share / bend)
+        assert 0 <= np.log(low / BEST_UM) + reach < 1.4e-3
+        assert 0 <= reach - np.log(high / BEST_UM) < 1.4e-3
 
 
 def test_fit_curve_with_a_flank_beside_the_best_size_leaves_a_corner_open() -> None:
@@ -142,16 +147,6 @@ def test_fit_curve_of_exact_rough_data() -> None:
     assert pitch[least - 1] < fit.optimum.pitch_um < pitch[least + 1]
 
 
-@pytest.mark.parametrize("bend", [0.3, 1.0, 3.0])
-def test_close_to_least_of_parabola(bend: float) -> None:
-    """0.5 + bend x² rises by 1 % at x = √(0.005/bend), by 2 % at √(0.01/bend); they are read on steps of 0.13 %, within."""
-    optimum = fitted(parabola(PITCH, bend)).optimum
-    for share, (low, high) in ((0.01, optimum.within_1_percent_um), (0.02, optimum.within_2_percent_um)):
-        reach = np.sqrt(MIN_VERSIONS * share / bend)
-        assert 0 <= np.log(low / BEST_UM) + reach < 1.4e-3
-        assert 0 <= reach - np.log(high / BEST_UM) < 1.4e-3
-
-
 def test_close_to_least_open_end_is_none() -> None:
     pitch, curve = np.array([1.0, 2.0, 3.0, 4.0]), np.array([1.015, 1.005, 1.0, 1.009])
     assert close_to_least(pitch, curve, 0.01) == (2.0, None)
@@ -167,7 +162,7 @@ def of_any_kind(steep: bool) -> Array:
 
 
 @pytest.mark.parametrize("steep", [False, True])
-@pytest.mark.parametrize("factor", [0.25, 3.0, 1e3])
+@pytest.mark.parametrize("factor", [0.25, 1e3])
 def test_fit_curve_scales_with_delta_e(factor: float, steep: bool) -> None:
     delta_e = sensors_of(of_any_kind(steep), 3, 0.01)
     one, other = fit_curve(PITCH, delta_e), fit_curve(PITCH, factor * delta_e)
@@ -374,18 +369,6 @@ def test_posterior_mean_limits() -> None:
     exact = Posterior(replace(DESIGN, noise=np.zeros(U.size)), 1.0, 0.5, Y)
     np.testing.assert_allclose(exact.mean(U), Y, rtol=1e-5)
     assert np.sqrt(np.diag(exact.covariance(U))).max() < 1.1e-6, "ROUNDING"
-
-
-def test_posterior_weighs_pitch_by_sensors() -> None:
-    """The weight of a pitch's own mean, h, over the weight of the others, 1 - h, is proportional to its sensors."""
-
-    def own_share(count: int) -> float:
-        sensors = DESIGN.sensors.copy()
-        sensors[4] = count
-        return float(Posterior(replace(DESIGN, sensors=sensors), 1.0, 0.0, np.eye(U.size)[4]).mean(U)[4])
-
-    few, many = own_share(2), own_share(8)
-    assert few / (1 - few) == pytest.approx(many / (1 - many) / 4, rel=1e-6)
 
 
 def test_drawn_curves_have_posterior_moments() -> None:
