@@ -194,7 +194,7 @@ def test_study_resumes_rows_of_the_same_metrics_only(judged: tuple[StudyResult, 
 
 
 def test_study_may_judge_by_another_metric_first(tmp_path: Path) -> None:
-    result = pixsim.study(tiny(metrics=["information", "acutance"]), tmp_path, jobs=1)
+    result = pixsim.study(tiny(metrics=["information", "acutance", "mtf50"]), tmp_path, jobs=1)
     own = result.curves[0]
     assert not own.has_delta_e
     assert own.as_dict()["optimum"] == own.optimum.of_metric(), "no number of ΔE"
@@ -202,6 +202,7 @@ def test_study_may_judge_by_another_metric_first(tmp_path: Path) -> None:
     pixsim.write_report(result, tmp_path)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "Noise-equivalent quanta" in page
+    assert "No best size is told by" in page, "an MTF50 tells none"
     assert rows(tmp_path / "figures" / "neq.csv")[0].keys() == {"sensor", "pitch_um", "frequency_cy_per_mm", "neq_per_mm2"}
     assert (tmp_path / "figures" / "judges.svg").is_file()
 
