@@ -262,16 +262,11 @@ def test_command_says_at_which_value_a_target_is_seen_or_that_it_is_at_none(tmp_
     assert "contrast" in repr(found).split("1000 is not reached")[1]
 
 
-@pytest.mark.parametrize(
-    ("parameters", "name", "message"),
-    [
-        ({"size_um": 200.0}, "lux", r"got 'lux', of which no value is stated; allowed: a parameter of target\.xml with a number"),
-        ({"size_um": 200.0}, "shape", "got 'shape', of which the value disc is stated"),
-    ],
-)
-def test_search_for_a_threshold_starts_from_a_number(parameters: dict[str, Any], name: str, message: str) -> None:
-    with pytest.raises(PixsimError, match=message):
-        pixsim.run("target", parameters=parameters, metric={"detectability": {"solve_for": name}}, **SMALL)
+def test_search_for_a_threshold_starts_from_a_number() -> None:
+    none = r"got 'lux', of which no value is stated; allowed: a parameter of target\.xml with a number"
+    for name, message in (("lux", none), ("shape", "got 'shape', of which the value disc is stated")):
+        with pytest.raises(PixsimError, match=message):
+            pixsim.run("target", parameters={"size_um": 200.0}, metric={"detectability": {"solve_for": name}}, **SMALL)
 
 
 def test_study_and_comparison_say_that_only_a_run_searches() -> None:
@@ -283,16 +278,11 @@ def test_study_and_comparison_say_that_only_a_run_searches() -> None:
         lineup(["0.35um", "4t-bsi"], "target", match="view", repeats=2, options=sought)
 
 
-@pytest.mark.parametrize(
-    ("over", "message"),
-    [
-        ({"metrics": ["detectability"]}, r"'detectability'; allowed: light of the scene without its target"),
-        ({"metrics": ["nothing"]}, r"metrics: got 'nothing'"),
-    ],
-)
-def test_metrics_are_checked_before_a_render(over: dict[str, Any], message: str, tmp_path: Path) -> None:
-    with pytest.raises(PixsimError, match=message):
-        pixsim.study(tiny(**over), tmp_path)
+def test_metrics_are_checked_before_a_render(tmp_path: Path) -> None:
+    without_target = r"'detectability'; allowed: light of the scene without its target"
+    for name, message in (("detectability", without_target), ("nothing", r"metrics: got 'nothing'")):
+        with pytest.raises(PixsimError, match=message):
+            pixsim.study(tiny(metrics=[name]), tmp_path)
     assert not (tmp_path / "results.csv").exists()
 
 
