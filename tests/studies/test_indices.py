@@ -83,11 +83,8 @@ def test_first_order_of_quadratic(inputs: int) -> None:
     quantile = points(128, inputs)
     kinds = {"u": UNIFORM, "n": NORMAL} | {f"other {number}": CUT for number in range(inputs - 2)}
     u, n = UNIFORM.coordinate(quantile[:, 0]), NORMAL.coordinate(quantile[:, 1])
-    for values, alone in (
-        (u + n**2 / 2, (1.0, 0.5, 0)),
-        (u**2 / 2 + n, (0.2, 1.0, 0)),
-        (u + n**2 / 2 + 0.3 * u * n, (1.0, 0.5, 0.09)),
-    ):
+    cases = (u + n**2 / 2, (1.0, 0.5, 0)), (u**2 / 2 + n, (0.2, 1.0, 0)), (u + n**2 / 2 + 0.3 * u * n, (1.0, 0.5, 0.09))
+    for values, alone in cases:
         found = first_order(quantile, values, kinds)
         known = np.array(alone[:2]) / sum(alone)
         assert shares(found.indices)[:2] == pytest.approx(known, abs=1e-4 if inputs == 3 or not alone[2] else 0.02)
@@ -113,56 +110,19 @@ def wavy(count: int) -> tuple[np.ndarray, np.ndarray]:
     return x, x[:, 0] + np.sin(2 * x[:, 1]) + 0.1 * np.random.default_rng(0).standard_normal(count)
 
 
-def test_regression_q2_matches_leaving_each_point_out() -> None:
+def test_q2_matches_leaving_each_point_out() -> None:
+    """Of a process at the lengths, nugget and mean of all points."""
     x, y = wavy(32)
-    fit = Regression(x, (UNIFORM, NORMAL), y)
+    regression, process = (kind(x, (UNIFORM, NORMAL), y) for kind in (Regression, Process))
     errors = []
     for point in range(y.size):
         others = np.arange(y.size) != point
-        coefficients, *_ = np.linalg.lstsq(fit._basis[others], y[others], rcond=None)
-        errors.append(y[point] - fit._basis[point] @ coefficients)
-    assert fit.q2 == pytest.approx(1 - np.square(errors).sum() / np.square(y - y.mean()).sum(), rel=1e-9)
-
-
-def test_process_q2_matches_leaving_each_point_out() -> None:
-    """At the lengths, nugget and mean of all points."""
-    x, y = wavy(32)
-    fit = Process(x, (UNIFORM, NORMAL), y)
-    errors = []
-    for point in range(y.size):
-        others = np.arange(y.size) != point
-        covariance = fit._kernel[np.ix_(others, others)] + fit._nugget * np.eye(y.size - 1)
-        predicted = y.mean() + fit._kernel[point, others] @ np.linalg.solve(covariance, y[others] - y.mean())
-        errors.append(y[point] - predicted)
-    assert fit.q2 == pytest.approx(1 - np.square(errors).sum() / np.square(y - y.mean()).sum(), rel=1e-6)
-
-
-def test_process_variances_match_sampling() -> None:
-    """Those of the posterior mean itself, over 2¹⁴ Sobol' points: they integrate a smooth function to 1e-4."""
-    x, y = wavy(64)
-    fit = Process(x, (UNIFORM, NORMAL), y)
-    alone, whole = fit.variances(np.arange(y.size))
-    weight = np.linalg.solve(fit._kernel + fit._nugget * np.eye(y.size), y - y.mean())
-    many = points(1 << 14, 2)
-    places = np.column_stack([UNIFORM.coordinate(many[:, 0]), NORMAL.coordinate(many[:, 1])])
-    # The lengths, from the kernel between a point and its neighbour in each input.
-    lengths = np.array([np.sqrt(-(apart**2) / 2 / np.log(value)) for apart, value in along_each_input(fit, x)])
-    mean = kernel(places, lengths, x) @ weight
-    assert whole == pytest.approx(mean.var(), rel=2e-3)
-    for axis in range(2):
-        order = np.argsort(many[:, axis])
-        by_input = mean[order].reshape(128, -1).mean(axis=1)  # of 128 equal parts of the input
-        assert alone[axis] == pytest.approx(by_input.var(), rel=0.02)
-
-
-def along_each_input(fit: Process, x: np.ndarray) -> list[tuple[float, float]]:
-    """Distance and kernel of two points along each input, by least squares of the kernel's logarithm."""
-    apart = (x[:, None] - x) ** 2
-    logs = np.log(np.maximum(fit._kernel, 1e-300))
-    rows = apart.reshape(-1, x.shape[1])
-    used = logs.ravel() > -500
-    slopes, *_ = np.linalg.lstsq(rows[used], logs.ravel()[used], rcond=None)
-    return [(1.0, float(np.exp(slope))) for slope in slopes]
+        coefficients, *_ = np.linalg.lstsq(regression._basis[others], y[others], rcond=None)
+        covariance = process._kernel[np.ix_(others, others)] + process._nugget * np.eye(y.size - 1)
+        by_process = y.mean() + process._kernel[point, others] @ np.linalg.solve(covariance, y[others] - y.mean())
+        errors.append(y[point] - [regression._basis[point] @ coefficients, by_process])
+    q2 = 1 - np.square(errors).sum(axis=0) / np.square(y - y.mean()).sum()
+    assert [regression.q2, process.q2] == [pytest.approx(q2[0], rel=1e-9), pytest.approx(q2[1], rel=1e-6)]
 
 
 def test_misfit_matches_normal_distribution() -> None:
@@ -246,17 +206,16 @@ def test_first_order_of_rough_function_is_withheld() -> None:
 
 
 def test_first_order_of_constant_is_withheld() -> None:
-    assert first_order(points(16, 2), np.full(16, 3.0), dict.fromkeys("ab", UNIFORM)) == FirstOrderIndices(
-        withheld="it does not vary"
-    )
+    constant = first_order(points(16, 2), np.full(16, 3.0), dict.fromkeys("ab", UNIFORM))
+    assert constant == FirstOrderIndices(withheld="it does not vary")
     first, total = total_indices(np.full(16, 3.0), ["a", "b"])
     assert shares(first) + shares(total) == [0.0] * 4
 
 
 def test_first_order_repeats_bit_for_bit() -> None:
     quantile = points(64, 3)
-    one, other, third = (first_order(quantile, ishigami(quantile) + 20 * quantile[:, 0], dict.fromkeys("abc", UNIFORM), seed)
-                         for seed in (1, 1, 2))  # fmt: skip
+    values, inputs = ishigami(quantile) + 20 * quantile[:, 0], dict.fromkeys("abc", UNIFORM)
+    one, other, third = (first_order(quantile, values, inputs, seed) for seed in (1, 1, 2))
     assert one == other
     assert one != third, "another bootstrap"
 

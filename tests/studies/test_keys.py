@@ -12,7 +12,7 @@ from helpers.tiny import tiny
 from pixsim.base import cache
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
-from pixsim.studies.keys import EVALUATED, OF_FRAME, OF_LIGHT, OF_SCORE, OF_WORDS, evaluated_before, light_hash, remember_evaluated
+from pixsim.studies.keys import EVALUATED, evaluated_before, light_hash, remember_evaluated
 from pixsim.studies.series import scenes_of, series_of
 from pixsim.studies.study_settings import Study
 
@@ -68,14 +68,18 @@ def stages(study: Study) -> dict[str, str]:
     return {"light": light_hash(study), "frame": hashes.pixel(PITCH_UM), "score": hashes.keys(PITCH_UM, 2)[1]}
 
 
+def made_anew(before: Study, **change: Any) -> set[str]:
+    """The stages of a study that other values of settings make anew."""
+    after = Study.model_validate(before.model_dump(exclude_unset=True) | change)
+    assert all(getattr(after, name) != getattr(before, name) for name in change)
+    own, other = stages(before), stages(after)
+    return {stage for stage in own if own[stage] != other[stage]}
+
+
 @pytest.mark.parametrize("name", Study.model_fields)
 def test_setting_makes_its_stages_anew_and_no_others(name: str) -> None:
     value, anew = CHANGES[name]
-    before = tiny()
-    after = Study.model_validate(before.model_dump(exclude_unset=True) | {name: value})
-    assert getattr(after, name) != getattr(before, name)
-    own, other = stages(before), stages(after)
-    assert {stage for stage in own if own[stage] != other[stage]} == set(anew.split())
+    assert made_anew(tiny(), **{name: value}) == set(anew.split())
 
 
 @pytest.mark.parametrize(
@@ -87,29 +91,12 @@ def test_setting_makes_its_stages_anew_and_no_others(name: str) -> None:
     ],
 )
 def test_settings_of_a_metric_count_where_it_is_asked_for(name: str, table: dict[str, object], anew: str) -> None:
-    asked = tiny().model_dump(exclude_unset=True) | {"metrics": ("delta_e", name)}
-    own, other = (stages(Study.model_validate(asked | more)) for more in ({}, {"metric": {name: table}}))
-    assert {stage for stage in own if own[stage] != other[stage]} == set(anew.split())
+    assert made_anew(tiny(metrics=["delta_e", name]), metric={name: table}) == set(anew.split())
 
 
 def test_raster_decides_on_the_frame_too() -> None:
     """A frame is registered with a display of dots, not with one of a dot for each pixel."""
-    before = tiny()
-    table = before.model_dump(exclude_unset=True)
-    after = Study.model_validate(table | {"display": table["display"] | {"raster": "one_to_one"}})
-    own, other = stages(before), stages(after)
-    assert all(own[stage] != other[stage] for stage in own)
-
-
-# On which no frame depends: what is said of them, which of them are made, and the cases, whose settings are their own.
-OF_NO_FRAME = {*OF_WORDS, "repeats", "max_repeats", "target_ci_um", "max_evaluations", "refine", "axis", "condition", "quick"}
-
-
-def test_every_setting_belongs_to_a_stage() -> None:
-    """A setting that no stage states would be in no key: two lights or frames would be taken for one."""
-    stated = {*OF_LIGHT, *OF_FRAME, *OF_SCORE, *NAMES} | OF_NO_FRAME
-    assert stated == set(Study.model_fields)
-    assert not {*OF_LIGHT, *OF_FRAME, *OF_SCORE} & OF_NO_FRAME
+    assert made_anew(tiny(), display=tiny(display={"raster": "one_to_one"}).display) == {"light", "frame", "score"}
 
 
 def test_a_study_of_many_cases_is_remembered_by_one_entry(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

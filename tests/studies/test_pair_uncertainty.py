@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.base.toml import SETTINGS_FILE
 from pixsim.report.compare import _unknown
-from pixsim.studies import evaluations
+from pixsim.sensor.readout import Frame
 from pixsim.studies.sensor_types import TYPES_FILE
 from pixsim.studies.study_settings import Study
 
@@ -39,7 +38,6 @@ def of(*files: Path, draws: int = DRAWS, **options: Any) -> Any:
 @pytest.mark.parametrize(
     ("range_a", "range_b", "expected"),
     [
-        ((10.0, 30.0), (10.0, 30.0), 0.5),
         ((10.0, 30.0), (20.0, 40.0), 0.875),  # 1 - 10² / (2 · 20²): the triangle in which b has less noise
         ((25.0, 35.0), (10.0, 20.0), 0.0),
     ],
@@ -49,7 +47,7 @@ def test_probability_is_that_of_less_read_noise(
 ) -> None:
     """With equal random numbers, mean ΔE grows with read noise: a is better where its read noise is smaller."""
     files = [unsure(tmp_path / f"{name}.toml", sum(ends) / 2, *ends) for name, ends in (("a", range_a), ("b", range_b))]
-    (found,) = of(*files, resolution=64).uncertainty
+    (found,) = of(*files).uncertainty
     better = found.probability_a_better
     assert better.low <= expected <= better.high
     assert better.probability == pytest.approx(expected, abs=2 * np.sqrt(expected * (1 - expected) / DRAWS))
@@ -67,7 +65,9 @@ def test_types_are_judged_by_each_metric(tmp_path: Path) -> None:
     scene = {"scene": "target", "parameters": target, "uncertainty": 8, **SMALL}
     result = pixsim.compare(files, metrics=["information", "detectability"], **scene)
     assert [each.metric.name for each in result.uncertainty] == ["delta_e", "information", "detectability"]
-    (alone,) = pixsim.compare(files, **scene).uncertainty
+    of_delta_e = pixsim.compare(files, **scene)
+    (alone,) = of_delta_e.uncertainty
+    assert of_delta_e.difference == result.difference
     np.testing.assert_array_equal(result.uncertainty[0].differences, alone.differences)
     noise = {name: np.array([draw[f"{name} read_noise_e"] for draw in alone.sample.draws]) for name in "ab"}
     for found in result.uncertainty[1:]:
@@ -106,79 +106,63 @@ def test_sensors_of_one_technology_share_its_numbers(tmp_path: Path) -> None:
     assert "does not vary" in found.words
 
 
-def test_pair_without_an_unknown_number_is_left_out(tmp_path: Path) -> None:
-    certain = [sheet(tmp_path / f"{name}.toml", read_noise_e) for name, read_noise_e in (("a", 20.0), ("b", 25.0))]
-    result = of(*certain, unsure(tmp_path / "c.toml", 20.0, 10.0, 30.0), draws=8)
-    assert [found.names for found in result.uncertainty] == [("a", "c")]
-    assert "a and b: no number of these two is unknown, so that nothing is drawn for them" in result.notes
-
-
 def test_third_sensor_and_conditions_change_no_type_of_a_pair(tmp_path: Path) -> None:
-    """Types of a pair see what the pair sees; under conditions, their differences are weighted means."""
-    files = [unsure(tmp_path / "a.toml", 20.0, 10.0, 30.0), sheet(tmp_path / "b.toml", 25.0)]
+    """Types of a pair see what the pair sees, and a pair without an unknown number has none.
+
+    Under conditions, their differences are weighted means; numbers that one sets are known in it: there, these two are alike.
+    """
+    files = [sheet(tmp_path / "a.toml", 25.0), unsure(tmp_path / "b.toml", 20.0, 10.0, 30.0)]
     pair = of(*files, draws=8).uncertainty[0]
     among = of(*files, sheet(tmp_path / "c.toml", 9.0, 15.0, "[40, 40]"), draws=8)
-    assert [found.names for found in among.uncertainty] == [("a", "b"), ("a", "c")]
+    assert [found.names for found in among.uncertainty] == [("a", "b")]
+    assert "a and c: no number of these two is unknown, so that nothing is drawn for them" in among.notes
     np.testing.assert_allclose(among.uncertainty[0].differences, pair.differences, rtol=1e-12)
     short = {"exposure": {"max_integration_s": 0.02}}
-    conditions = [{"name": "long", "weight": 3.0, "set": {"exposure": {"max_integration_s": 0.1}}}, {"name": "short", "set": short}]
-    study = Study.model_validate({"name": "two", "condition": conditions})
-    (both,) = of(*files, draws=8, study=study).uncertainty
+    conditions = [
+        {"name": "long", "weight": 3.0, "set": {"exposure": {"max_integration_s": 0.1}}},
+        {"name": "short", "set": short},
+        {"name": "set", "weight": 4.0, "set": {"pixel": {"read_noise_e": 5.0}}},
+    ]
+    (all_three,) = of(*files, draws=8, study=Study.model_validate({"name": "three", "condition": conditions})).uncertainty
     (alone,) = of(*files, draws=8, **short).uncertainty
-    np.testing.assert_allclose(both.differences, 0.75 * pair.differences + 0.25 * alone.differences, rtol=1e-9)
+    np.testing.assert_allclose(all_three.differences, 0.375 * pair.differences + 0.125 * alone.differences, rtol=1e-9)
 
 
-def test_numbers_that_a_condition_sets_are_known_in_it(tmp_path: Path) -> None:
-    files = [unsure(tmp_path / "a.toml", 20.0, 10.0, 30.0), sheet(tmp_path / "b.toml", 25.0)]
-    study = Study.model_validate({"name": "one", "condition": [{"name": "set", "set": {"pixel": {"read_noise_e": 5.0}}}]})
-    (found,) = of(*files, draws=8, study=study).uncertainty
-    assert np.array_equal(found.differences, np.zeros(8))
-
-
-def test_settings_repeat_the_types_and_an_interrupted_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_settings_repeat_the_types_and_an_interrupted_run_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, evaluations: list[Frame]
+) -> None:
+    """The line of settings.toml takes up a table of types that was cut off, and finds the same."""
     monkeypatch.chdir(tmp_path)
     unsure(Path("a.toml"), 20.0, 10.0, 30.0), sheet(Path("b.toml"), 25.0)
     small = f"--display.dots 32 --resolution {COARSE} --repeats 2 --jobs 1 -D luminance_cd_per_m2=1"
     _, out, _ = command(f"compare a.toml b.toml --uncertainty 8 {small} --out first")
-    first = json.loads(Path("first/compare.json").read_text(encoding="utf-8"))
+    monkeypatch.chdir("first")
+    first = json.loads(Path("compare.json").read_text(encoding="utf-8"))["uncertainty"]
     (words,) = [line for line in out.splitlines() if "over 8 sensor types a is better than b with the probability" in line]
     assert "a read_noise_e" in words or "not told" in words
-    assert first["uncertainty"]["b"]["draws"] == 8
-    page = Path("first/report.html").read_text(encoding="utf-8")
-    assert f"{first['uncertainty']['b']['difference']['quantiles']['p50']:+.4f}" in page
+    assert first["b"]["draws"] == 8
+    page = Path("report.html").read_text(encoding="utf-8")
+    assert f"{first['b']['difference']['quantiles']['p50']:+.4f}" in page
     assert TYPES_FILE in page
 
-    repeat = next(
-        line for line in Path("first", SETTINGS_FILE).read_text(encoding="utf-8").splitlines() if "pixsim compare" in line
-    )
-    monkeypatch.chdir("first")
-    command(" ".join(shlex.split(repeat.removeprefix("# "))[1:]) + " --jobs 1 --out ../again")
-    again = json.loads(Path("../again/compare.json").read_text(encoding="utf-8"))
-    assert again["uncertainty"] == first["uncertainty"]
-
-    monkeypatch.chdir(tmp_path)
-    types = Path("first", TYPES_FILE)
-    lines = types.read_text(encoding="utf-8").splitlines(keepends=True)
+    lines = Path(TYPES_FILE).read_text(encoding="utf-8").splitlines(keepends=True)
     assert len(lines) == 1 + 2 * 8 * 2
-    types.write_text("".join(lines[:9]), encoding="utf-8")
-    made: list[int] = []
-    evaluate = evaluations.evaluate_task
-    monkeypatch.setattr(evaluations, "evaluate_task", lambda task, light: made.append(len(task.keys)) or evaluate(task, light))
-    command(f"compare a.toml b.toml --uncertainty 8 {small} --out first")
+    Path(TYPES_FILE).write_text("".join(lines[:9]), encoding="utf-8")
+    (repeat,) = [line for line in Path(SETTINGS_FILE).read_text(encoding="utf-8").splitlines() if "pixsim compare" in line]
+    evaluations.clear()
+    command(repeat.removeprefix("# pixsim ") + " --jobs 1 --out .")
     keys = [line.partition(",")[0] for line in lines[1:]]
-    assert sum(made) == len(set(keys[8:]) - set(keys[:8])) > 0
-    assert json.loads(Path("first/compare.json").read_text(encoding="utf-8")) == first
+    assert len(evaluations) - 2 == len(set(keys[8:]) - set(keys[:8])) > 0, "and one of each sensor for the page"
+    assert json.loads(Path("compare.json").read_text(encoding="utf-8"))["uncertainty"] == first
 
 
-def test_dry_run_says_what_is_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    unsure(Path("a.toml"), 20.0, 10.0, 30.0), sheet(Path("b.toml"), 25.0)
-    assert "16 sensor types, over a read_noise_e" in command("compare a.toml b.toml --uncertainty 9 --dry-run")[1]
+def test_dry_run_says_what_is_drawn(tmp_path: Path) -> None:
+    files = unsure(tmp_path / "a.toml", 20.0, 10.0, 30.0), sheet(tmp_path / "b.toml", 25.0)
+    assert "16 sensor types, over a read_noise_e" in command("compare --uncertainty 9 --dry-run", *files)[1]
 
 
-def test_nothing_unknown_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_nothing_unknown_is_refused(tmp_path: Path) -> None:
     files = [sheet(tmp_path / "a.toml"), sheet(tmp_path / "b.toml", 5.0)]
     with pytest.raises(PixsimError, match="at least one number with a range or an uncertainty"):
         of(*files)
-    assert_refused(*command("compare a.toml b.toml --uncertainty 3"), ["--uncertainty", "8 to 65536 sensor types"])
+    assert_refused(*command("compare --uncertainty 3", *files), ["--uncertainty", "8 to 65536 sensor types"])

@@ -6,29 +6,27 @@ import json
 import math
 import shutil
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from helpers.commands import assert_refused, command
-from helpers.tiny import rows, tiny
+from helpers.tiny import rows, tiny, toml_of
 
 import pixsim
+from pixsim.light.spectral import SpectralImage
 from pixsim.optics.diffraction import diffraction_otf
 from pixsim.report.outline import run_outline, study_outline
 from pixsim.scene.packaged import packaged_scenes
-from pixsim.scene.plan import make_render_plan
+from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.renderer import Renderer
 from pixsim.sensor.pixel_options import PixelOptions
 from pixsim.studies.cost import Cost, cases_cost, study_cost, window_within
 from pixsim.studies.lights import render_for
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E, fit_curve
 from pixsim.studies.preparation import BYTES_PER_PIXEL, MAX_FRAME_BYTES, choose_view, fitted_range, prepare
-from pixsim.studies.result import WIDE_RATIO, Curve
+from pixsim.studies.result import WIDE_RATIO, Curve, StudyResult
 from pixsim.studies.run import prepare as prepare_run
 from pixsim.studies.sampling import study_pitches_um
 from pixsim.studies.sentences import optimum_line, optimum_words
@@ -41,56 +39,55 @@ SHEET = {"pitch_um": 3.45, "full_well_e": 11000, "read_noise_e": 2.2, "dark_curr
 SMALL = {"resolution": 64, "spp": 4, "luminance_cd_per_m2": 50.0}
 
 
-@contextmanager
-def quiet() -> Iterator[None]:
-    """Without warnings, such as of a shortened range, which the tests take for errors."""
-    with warnings.catch_warnings(action="ignore"):
-        yield
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # such as of a shortened range; tests of warnings set their own
 
 
-def sheet_toml(folder: Path, **more: object) -> Path:
-    lines = [f"{name} = {value}" for name, value in (SHEET | more).items()]
+def sheet_toml(folder: Path) -> Path:
     path = folder / "sensor.toml"
-    path.write_text("\n".join(["[pixel]", *lines]) + "\n", encoding="utf-8")
+    path.write_text(f"pixel = {toml_of(SHEET)}\n", encoding="utf-8")
     return path
+
+
+@pytest.fixture
+def unrendered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A render fails the test."""
+    monkeypatch.setattr(Renderer, "run", lambda *_, **__: pytest.fail("rendered"))
 
 
 # --- Display and chart -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("pitch_um", "f_number", "dots", "limited_by", "highest"),
+    ("pitch_um", "display", "scene", "expected"),
     [
-        (20.0, 4.0, 400, "the sensor's Nyquist frequency", 25.0),  # the display has a dot a pixel: the same frequency, named first
-        (3.45, 4.0, 2048, "the display's Nyquist frequency", 2048 / 16.0),
-        (3.45, 16.0, 2048, "the lens's cut-off", None),
+        # The display has a dot a pixel: the same frequency, named first.
+        (20.0, {}, {}, {"dots": 400, "max_lp_per_mm": 25.0, "limited_by": "the sensor's Nyquist frequency"}),
+        (3.45, {}, {}, {"dots": 2048, "max_lp_per_mm": 128.0, "limited_by": "the display's Nyquist frequency"}),
+        (10.0, {"dots": 100}, {}, {"max_lp_per_mm": 6.25, "limited_by": "the display's Nyquist frequency"}),
+        # Dots are pixels.
+        (10.0, {"raster": "one_to_one"}, {}, {"max_lp_per_mm": 50.0, "limited_by": "the sensor's Nyquist frequency"}),
+        # The fewest dots that a display has.
+        (1500.0, {}, {"max_lp_per_mm": 20}, {"dots": 8}),
+        (10.0, {}, {"max_lp_per_mm": 20}, {"dots": 800}),
+        (10.0, {}, {"chart": "charts/flat.exr"}, {"dots": 800}),  # a chart of one's own stays
     ],
 )
-def test_choose_view_least_of_three_limits(
-    pitch_um: float, f_number: float, dots: int, limited_by: str, highest: float | None
+def test_choose_view_takes_the_least_of_three_limits_and_keeps_what_was_set(
+    pitch_um: float, display: dict[str, Any], scene: dict[str, Any], expected: dict[str, Any]
 ) -> None:
-    camera = pixsim.Camera(die_mm=8.0, f_number=f_number, focal_length_mm=12.0)
-    view = choose_view(pitch_um, camera, pixsim.Display(), pixsim.load_scene("csf", resolution=64))
-    assert (view["dots"], view["limited_by"]) == (dots, limited_by)
-    if highest is None:  # the lens passes nothing beyond it, and a little just below
-        at = np.array([0.98, 1.0]) * view["max_lp_per_mm"]
-        assert diffraction_otf(at, 550.0, camera.effective_f_number) == pytest.approx([0.0034, 0.0], abs=1e-4)
-    else:
-        assert view["max_lp_per_mm"] == pytest.approx(highest, rel=1e-12)
+    camera = pixsim.Camera(die_mm=8.0, f_number=4.0, focal_length_mm=12.0)
+    view = choose_view(pitch_um, camera, pixsim.Display(**display), pixsim.load_scene("csf", resolution=64, **scene))
+    assert view == expected
 
 
-def test_choose_view_keeps_what_was_set() -> None:
-    camera, scene = pixsim.Camera(), pixsim.load_scene("csf", resolution=64)
-    set_dots = choose_view(10.0, camera, pixsim.Display(dots=100), scene)
-    assert ("dots" in set_dots, set_dots["max_lp_per_mm"]) == (False, 100 / (2 * 2.7136))
-    set_chart = choose_view(10.0, camera, pixsim.Display(), pixsim.load_scene("csf", resolution=64, max_lp_per_mm=20))
-    assert set_chart == {"dots": 271}
-    assert choose_view(10.0, camera, pixsim.Display(), pixsim.load_scene("flat", resolution=64)) == {"dots": 271}
-    own_chart = pixsim.load_scene("csf", chart="charts/flat.exr")
-    assert choose_view(10.0, camera, pixsim.Display(), own_chart) == {"dots": 271}, "a chart of one's own stays"
-    pixels = choose_view(10.0, camera, pixsim.Display(raster="one_to_one"), scene)
-    assert ("dots" in pixels, pixels["max_lp_per_mm"]) == (False, 50.0), "dots are pixels"
-    assert choose_view(500.0, camera, pixsim.Display(), scene)["dots"] == 8, "the fewest that a display has"
+def test_choose_view_ends_at_the_cut_off_of_the_lens() -> None:
+    """The lens passes nothing beyond it, and a little just below."""
+    camera = pixsim.Camera(die_mm=8.0, f_number=16.0, focal_length_mm=12.0)
+    view = choose_view(3.45, camera, pixsim.Display(), pixsim.load_scene("csf", resolution=64))
+    assert (view["dots"], view["limited_by"]) == (2048, "the lens's cut-off")
+    at = np.array([0.98, 1.0]) * view["max_lp_per_mm"]
+    assert diffraction_otf(at, 550.0, camera.effective_f_number) == pytest.approx([0.0034, 0.0], abs=1e-4)
+    assert choose_view(10.0, camera, pixsim.Display(), pixsim.load_scene("flat", resolution=64)) == {"dots": 800}, "no chart"
 
 
 def test_prepare_technology_keeps_paper_display_and_chart() -> None:
@@ -111,10 +108,25 @@ def sheet_study(die_mm: float, **pitch: float) -> Study:
     )
 
 
-def test_fitted_range_of_small_die_is_quarter_to_four_times() -> None:
-    with warnings.catch_warnings(action="error"):
-        study = fitted_range(sheet_study(2.0), pixsim.Camera(die_mm=2.0))
-    assert (study.pitch.min_um, study.pitch.max_um) == (0.8625, 13.8)
+MOST_PIXELS = MAX_FRAME_BYTES / BYTES_PER_PIXEL
+
+
+@pytest.mark.parametrize(
+    ("die_mm", "message", "min_um", "max_um"),
+    [
+        (2.0, "", 0.8625, 13.8),
+        (8.5, r"smallest pixel size is 2\.20\d µm in place of 0\.8625.*1 GiB for a frame.*--window", 8500 / MOST_PIXELS**0.5, 13.8),
+        (24.0, "as many as the data sheet's sensor has", 24e3 / (24e3 // 3.45), 13.8),  # 48 million, more than 2 GiB a frame
+        (0.1, r"largest pixel size is 6\.25 µm in place of 13\.8 µm", 0.8625, 6.25),
+    ],
+)
+def test_fitted_range_is_quarter_to_four_times_within_a_frame_and_the_die(
+    die_mm: float, message: str, min_um: float, max_um: float
+) -> None:
+    with warnings.catch_warnings(action="error") if not message else pytest.warns(UserWarning, match=message):
+        pitch = fitted_range(sheet_study(die_mm), pixsim.Camera(die_mm=die_mm)).pitch
+    assert min_um <= pitch.min_um < min_um + 1e-4  # rounded up
+    assert pitch.max_um == max_um
 
 
 def test_fitted_range_ends_at_the_widest_microlens_and_says_so() -> None:
@@ -128,27 +140,6 @@ def test_fitted_range_ends_at_the_widest_microlens_and_says_so() -> None:
             fitted = fitted_range(study, pixsim.Camera(die_mm=2.0))
         assert study_pitches_um(fitted, "none").max() == 8.8622
         assert fitted.pitch.largest_um == float(end)  # the scored frame is as without a stack
-
-
-def test_fitted_range_is_clipped_by_memory_and_says_so() -> None:
-    with pytest.warns(UserWarning, match=r"smallest pixel size is 2\.20\d µm in place of 0\.8625 µm.*1 GiB for a frame.*--window"):
-        study = fitted_range(sheet_study(8.5), pixsim.Camera(die_mm=8.5))
-    assert study.pitch.min_um is not None
-    pixels = (8500 / study.pitch.min_um) ** 2
-    assert MAX_FRAME_BYTES / BYTES_PER_PIXEL * 0.999 < pixels <= MAX_FRAME_BYTES / BYTES_PER_PIXEL
-
-
-def test_fitted_range_includes_pitch_of_large_sensor() -> None:
-    with pytest.warns(UserWarning, match="as many as the data sheet's sensor has"):
-        study = fitted_range(sheet_study(24.0), pixsim.Camera(die_mm=24.0))
-    assert study.pitch.min_um == pytest.approx(3.45, abs=2e-3), "48 million pixels, more than 2 GiB a frame"
-    assert study.pitch.min_um >= 3.45
-
-
-def test_fitted_range_leaves_pixels_on_small_die() -> None:
-    with pytest.warns(UserWarning, match=r"largest pixel size is 6\.25 µm in place of 13\.8 µm"):
-        study = fitted_range(sheet_study(0.1), pixsim.Camera(die_mm=0.1))
-    assert study.pitch.max_um == 6.25
 
 
 def test_prepare_set_size_with_too_many_pixels_raises() -> None:
@@ -173,56 +164,39 @@ def test_prepare_technology_with_too_many_pixels_is_clipped() -> None:
 # --- One set of options in TOML, by options and in Python ----------------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_study_same_rows_from_toml_options_and_python(tmp_path: Path) -> None:
-    tables = {"camera": {"f_number": 2.0, "die_mm": 1.0}, "exposure": {"max_integration_s": 0.02}, "display": {"gamma": 2.0}}
-    pitch = {"min_um": 2.0, "max_um": 12.0, "count": 5}
-    path = sheet_toml(tmp_path)
-    own = tmp_path / "own.toml"
-    run = partial(quiet_command, folder=tmp_path)
-    text = [
-        'name = "own"',
-        "repeats = 2",
-        "refine = false",
-        "resolution = 64",
-        "seed = 3",
-        '[scene]\nfile = "slanted_edge"',
-        f"parameters = {toml(SMALL)}",
-    ]
-    own.write_text("\n".join([*text, *(f"[{name}]\n{lines(table)}" for name, table in (tables | {"pitch": pitch}).items())]))
-    run(f"study {own} --config {path} --out", "toml")
-
-    (tmp_path / "bare.toml").write_text('name = "own"\nrepeats = 2\n[scene]\nparameters = { luminance_cd_per_m2 = 1.0 }\n')
-    options = " ".join(f"--{t}.{k.replace('_', '-')} {v}" for t, table in tables.items() for k, v in table.items())
-    options += " --no-refine --pitch.min-um 2 --pitch.max-um 12 --pitch.count 5 --seed 3 --resolution 64 --scene slanted_edge"
+def test_toml_options_and_python_make_the_same_study(tmp_path: Path) -> None:
+    sheet, bare, own = sheet_toml(tmp_path), tmp_path / "bare.toml", tmp_path / "own.toml"
+    tables: dict[str, dict[str, float]] = {
+        "camera": {"f_number": 2.0, "die_mm": 1.0},
+        "exposure": {"max_integration_s": 0.02},
+        "display": {"gamma": 2.0},
+        "pitch": {"min_um": 2.0, "max_um": 12.0, "count": 5},
+    }
+    more = {"seed": 3, "refine": False, "resolution": 64}
+    named = 'name = "own"\nrepeats = 2\n'
+    given = more | {"scene": {"file": "slanted_edge", "parameters": SMALL}} | tables
+    own.write_text(named + "".join(f"{name} = {toml_of(value)}\n" for name, value in given.items()), encoding="utf-8")
+    bare.write_text(named + "[scene]\nparameters = { luminance_cd_per_m2 = 1.0 }\n", encoding="utf-8")
+    options = "--seed 3 --no-refine --resolution 64 --scene slanted_edge"
+    options += "".join(f" --{table}.{name.replace('_', '-')} {value}" for table, of in tables.items() for name, value in of.items())
     options += "".join(f" -D {name}={value}" for name, value in SMALL.items())
-    run(f"study {tmp_path / 'bare.toml'} --config {path} {options} --out", "options")
-
-    given = {**tables, "pitch": pitch, "seed": 3, "refine": False, "resolution": 64, "scene": "slanted_edge", "parameters": SMALL}
-    with quiet():
-        pixsim.study(tmp_path / "bare.toml", tmp_path / "python", config=path, jobs=1, **given)
-    numbers = [
-        [(row["pitch_um"], row["repeat"], row["mean_delta_e"]) for row in rows(tmp_path / name)]
-        for name in ("toml", "options", "python")
+    outlines = [
+        json.loads(quiet_command(f"study {words} --config {sheet} --dry-run --json")) for words in (own, f"{bare} {options}")
     ]
-    assert numbers[0] == numbers[1] == numbers[2]
-    assert len(numbers[0]) == 10
+    assert outlines[0] == outlines[1]
+    assert (outlines[0]["evaluations"], outlines[0]["seed"], outlines[0]["display"]["gamma"]) == (10, 3, 2.0)
+    studies = (
+        load_study(own, config=sheet),
+        load_study(bare, config=sheet, scene="slanted_edge", parameters=SMALL, **more, **tables),
+    )
+    assert studies[0].model_dump(exclude={"sources"}) == studies[1].model_dump(exclude={"sources"})
 
 
-def quiet_command(line: str, out: str, folder: Path) -> str:
-    """Run a command in one process, with its folder as the last word, and return what it prints."""
-    with quiet():
-        code, text, err = command(f"{line} {folder / out} --jobs 1")
+def quiet_command(line: str) -> str:
+    """Run a command and return what it prints."""
+    code, out, err = command(line)
     assert code == 0, err
-    return text
-
-
-def lines(table: dict[str, float]) -> str:
-    return "\n".join(f"{name} = {value}" for name, value in table.items())
-
-
-def toml(table: dict[str, float]) -> str:
-    return "{ " + ", ".join(f"{name} = {value}" for name, value in table.items()) + " }"
+    return out
 
 
 def test_study_range_option_replaces_list_of_sizes(tmp_path: Path) -> None:
@@ -248,16 +222,13 @@ def test_study_scene_option_drops_parameters_of_the_other_scene() -> None:
         ("--pitch.max-um 2000", ["pixel.pitch_um", "border of 3000 µm"]),
         ("--window 9", ["window_mm: got 9", "at most the width of the die, 2.7136"]),
         ("--scene nowhere", ["scene: got 'nowhere'"]),
-        ("--scene flat -D max_lp_per_mm=3", ["max_lp_per_mm", "csf"]),
         ("--camera.f-number x", ["camera.f_number: got 'x'"]),
+        ("--scene flat -D max_lp_per_mm=3", ["max_lp_per_mm", "csf"]),
         ("-D chart=charts/flat.exr -D max_lp_per_mm=3", ["max_lp_per_mm", "-D chart"]),
         ("-D max_lp_per_mm=0.5", ["max_lp_per_mm: got 0.5; allowed: at least 1.1"]),
     ],
 )
-def test_study_problem_is_found_before_render(
-    words: str, message: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("pixsim.scene.renderer.Renderer.run", lambda *_, **__: pytest.fail("rendered"))
+def test_study_problem_is_found_before_render(words: str, message: list[str], unrendered: None, tmp_path: Path) -> None:
     code, out, err = command(f"study pixel-size --out {tmp_path / 'out'} {words}")
     assert_refused(code, out, err, message)
     assert not (tmp_path / "out").exists()
@@ -280,10 +251,8 @@ def test_window_is_same_lens_on_part_of_the_die(tmp_path: Path) -> None:
 
 
 def test_run_window_is_named(tmp_path: Path) -> None:
-    line = f"run csf --config {sheet_toml(tmp_path)} --resolution 64 --window 0.7 --irradiance none --out {tmp_path / 'out'}"
-    with quiet():
-        code, out, err = command(line)
-    assert code == 0, err
+    sheet = sheet_toml(tmp_path)
+    out = quiet_command(f"run csf --config {sheet} --resolution 48 --window 0.7 --irradiance none --out {tmp_path / 'out'}")
     # 202 pixels on as many dots.
     assert "with 202 × 202 pixels of 3.45 µm" in out
     assert "shown on 202 dots (from the sensor's pixels), 1 pixel a dot, chart to 144 lp/mm" in out
@@ -298,19 +267,19 @@ def test_run_window_is_named(tmp_path: Path) -> None:
 
 def curve_through(pitch_um: np.ndarray, mean: np.ndarray, scatter: float) -> Curve:
     delta_e = mean[:, None] + scatter * np.array([-1.0, 0.0, 1.0])
-    statistics = {"mean_delta_e": delta_e}
-    return Curve("none", 0.35, pitch_um, np.ones(pitch_um.size), statistics, fit_curve(pitch_um, delta_e))
+    return Curve("none", 0.35, pitch_um, np.ones(pitch_um.size), {"mean_delta_e": delta_e}, fit_curve(pitch_um, delta_e))
+
+
+WIDE_UM = np.geomspace(1.0, 16.0, 9)
+EVEN = 0.2 + np.array([0.5, 0.2, 0.03, 0.01, 0.0, 0.01, 0.02, 0.2, 0.5])
 
 
 def test_no_difference_um_is_widest_range_within_a_twentieth() -> None:
-    pitch_um = np.geomspace(1.0, 16.0, 9)
-    mean = 0.2 + np.array([0.5, 0.2, 0.03, 0.01, 0.0, 0.01, 0.02, 0.2, 0.5])
-    assert curve_through(pitch_um, mean, 1e-6).no_difference_um == (pitch_um[2], pitch_um[6])
-    # An uncertainty of 0.01 of each size is √2 of that for a difference: 0.03 + 0.014 is within 0.05, and 0.04 + 0.014 not.
-    wider = np.where(mean == 0.23, 0.24, mean)
-    assert curve_through(pitch_um, wider, 1e-6).no_difference_um == (pitch_um[2], pitch_um[6])
-    assert curve_through(pitch_um, wider, 0.02).no_difference_um == (pitch_um[3], pitch_um[6])
-    assert curve_through(pitch_um, mean, 0.2).no_difference_um is None, "nothing is known to be alike"
+    """An uncertainty of 0.01 of each size is √2 of that for a difference: 0.03 + 0.014 is within 0.05, and 0.04 + 0.014 not."""
+    wider = np.where(EVEN == 0.23, 0.24, EVEN)
+    for mean, scatter, ends in ((EVEN, 1e-6, [2, 6]), (wider, 1e-6, [2, 6]), (wider, 0.02, [3, 6])):
+        assert curve_through(WIDE_UM, mean, scatter).no_difference_um == tuple(WIDE_UM[ends])
+    assert curve_through(WIDE_UM, EVEN, 0.2).no_difference_um is None, "nothing is known to be alike"
 
 
 OF_A_LENS_UM = np.array([0.4715, 0.7729, 1.267, 2.0771, 3.4049, 5.5818, 9.1502, 15.0])
@@ -328,8 +297,7 @@ def test_fit_beside_a_steep_flank() -> None:
 
 def test_minimum_of_the_fit_outside_the_sizes_that_look_alike_is_told_as_such() -> None:
     """Beside a corner, the fit swings below all sizes tried."""
-    pitch_um = OF_A_LENS_UM
-    steep = curve_through(pitch_um, np.array([1.87, 0.80, 0.775, 0.751, 0.750, 0.771, 0.826, 0.958]), 5e-4)
+    steep = curve_through(OF_A_LENS_UM, np.array([1.87, 0.80, 0.775, 0.751, 0.750, 0.771, 0.826, 0.958]), 5e-4)
     low, high = steep.no_difference_um
     assert not steep.fit.logarithmic, "a steeper curve does not swing"
     assert steep.optimum.pitch_um < 0.99 * low, "else this tests nothing"
@@ -339,7 +307,7 @@ def test_minimum_of_the_fit_outside_the_sizes_that_look_alike_is_told_as_such() 
     assert f"from {low:.3g} to {high:.3g} µm; {least}; {fitted}" in line
     assert "within 1 %" not in line
     assert f"from {low:.3g} to {high:.3g} µm; {least}" in optimum_words([steep])
-    even = curve_through(np.geomspace(1.0, 16.0, 9), 0.2 + np.array([0.5, 0.2, 0.03, 0.01, 0.0, 0.01, 0.02, 0.2, 0.5]), 1e-6)
+    even = curve_through(WIDE_UM, EVEN, 1e-6)
     assert "mean ΔE is least" in optimum_line(even)
     assert "outside" not in optimum_line(even)
     assert "fitted curve" not in optimum_words([even])
@@ -347,24 +315,24 @@ def test_minimum_of_the_fit_outside_the_sizes_that_look_alike_is_told_as_such() 
 
 def test_no_difference_um_narrow_range_is_not_named() -> None:
     pitch_um = np.geomspace(4.0, 8.0, 9)
-    mean = 1.0 + 5 * np.log(pitch_um / 5.6) ** 2
-    curve = curve_through(pitch_um, mean, 1e-6)
-    assert curve.no_difference_um is None
-    flatter = curve_through(pitch_um, 1.0 + (mean - 1.0) / 20, 1e-6)
+    bend = 5 * np.log(pitch_um / 5.6) ** 2
+    steep = curve_through(pitch_um, 1.0 + bend, 1e-6)
+    assert steep.no_difference_um is None
+    assert "no visible" not in optimum_line(steep)
+    flatter = curve_through(pitch_um, 1.0 + bend / 20, 1e-6)
     low, high = flatter.no_difference_um
     assert high / low >= WIDE_RATIO
     assert np.ptp(flatter.mean()[(pitch_um >= low) & (pitch_um <= high)]) < NO_VISIBLE_DELTA_E
 
 
-def test_study_line_says_that_sizes_look_alike(tiny_result: pixsim.study) -> None:
-    pitch_um = np.geomspace(1.4, 10.0, 8)
-    curve = curve_through(pitch_um, 0.18 + 0.002 * np.arange(8.0), 1e-5)
-    assert optimum_line(curve).startswith(
-        "data sheet: no visible difference (< 0.05 ΔE) between sizes from 1.4 to 10 µm, all sizes tried; mean"
-    )
+def test_study_line_says_that_sizes_look_alike() -> None:
+    curve = curve_through(np.geomspace(1.4, 10.0, 8), 0.18 + 0.002 * np.arange(8.0), 1e-5)
+    words = "no visible difference (< 0.05 ΔE) between sizes from 1.4 to 10 µm"
+    assert optimum_line(curve).startswith(f"data sheet: {words}, all sizes tried; mean")
     assert curve.as_dict()["no_visible_difference_um"] == (1.4, 10.0)
-    assert "no visible difference (< 0.05 ΔE) between sizes from 1.4 to 10 µm" in repr(replace(tiny_result, curves=(curve,)))
-    assert "no visible" not in optimum_line(tiny_result.curves[0])
+    assert words in repr(
+        StudyResult(tiny(), (curve,), SpectralImage([550.0], 10.0, 20.0, data=np.ones((2, 2, 1))), pixsim.Camera())
+    )
 
 
 # --- Dry run and cost ---------------------------------------------------------------------------------------------------
@@ -374,8 +342,7 @@ def test_study_line_says_that_sizes_look_alike(tiny_result: pixsim.study) -> Non
     "line",
     ["run csf", pytest.param("study pixel-size --quick", marks=pytest.mark.slow), "study chen2000", "run macbeth --window 1"],
 )
-def test_dry_run_renders_and_writes_nothing(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pixsim.scene.renderer.Renderer.run", lambda *_, **__: pytest.fail("rendered"))
+def test_dry_run_renders_and_writes_nothing(line: str, unrendered: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     sheet = "" if "chen" in line else f"--config {sheet_toml(tmp_path)}"
     before = sorted(tmp_path.rglob("*"))
@@ -391,19 +358,15 @@ def test_dry_run_renders_and_writes_nothing(line: str, tmp_path: Path, monkeypat
         assert outline["chosen"]["dots"] == math.floor(1e3 * outline["camera"]["die_mm"] / 3.45)
 
 
-@pytest.mark.slow
 def test_dry_run_counts_what_the_study_does(tmp_path: Path) -> None:
-    line = f"study pixel-size --config {sheet_toml(tmp_path)} --resolution 64 --window 0.2 --pitch.count 5 --no-refine --quick"
-    with quiet():
-        outline = json.loads(command(f"{line} --dry-run --json")[1])
-    quiet_command(f"{line} --out", "out", tmp_path)
+    small = {"resolution": 48, "window_mm": 0.2, "pitch": {"count": 5}, "refine": False}
+    study = load_study("pixel-size", sheet_toml(tmp_path), **small).quickened
+    outline, done = study_outline(prepare(study)), pixsim.study(study, tmp_path / "out", jobs=1)
     (sensor,) = outline["sensors"]
-    done = rows(tmp_path / "out")
-    assert sorted({float(row["pitch_um"]) for row in done}) == sensor["pitch_um"]
-    assert len(done) == len(sensor["pitch_um"]) * sensor["sensors"]
-    summary = json.loads((tmp_path / "out/summary.json").read_text(encoding="utf-8"))
-    assert summary["study"]["display"]["dots"] == outline["display"]["dots"]
-    assert list(outline["film"]["samples"]) == [64, 64]
+    assert done.curves[0].pitch_um.tolist() == sensor["pitch_um"]
+    assert len(rows(tmp_path / "out")) == len(sensor["pitch_um"]) * sensor["sensors"]
+    assert done.study.display.dots == outline["display"]["dots"]
+    assert done.irradiance.shape == tuple(outline["film"]["samples"])
 
 
 @pytest.mark.parametrize(
@@ -436,39 +399,39 @@ def test_dry_run_states_rays_of_the_film_that_is_rendered(
     assert film["samples"][1] > 128 or scene == "flat"
 
 
-def test_window_within_takes_less_than_a_minute() -> None:
+SAMPLES = 1024, 1024  # of a film
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    return make_render_plan(pixsim.load_scene("flat", resolution=64))
+
+
+def test_window_within_takes_less_than_a_minute(plan: Plan) -> None:
     study = sheet_study(8.5)
-    prepared = prepare_quietly(study)
-    plan = make_render_plan(prepared.cases[0].scene, prepared.camera)
-    cost = study_cost(prepared.study, prepared.camera, plan, (1024, 1024), jobs=1)
-    assert cost.seconds > 60
-    width = window_within(study, prepared.camera, plan, (1024, 1024), jobs=1)
+    prepared = prepare(study)
+    assert study_cost(prepared.study, prepared.camera, plan, SAMPLES, jobs=1).seconds > 60
+    width = window_within(study, prepared.camera, plan, SAMPLES, jobs=1)
     assert width is not None
-    smaller = prepare_quietly(study.model_copy(update={"window_mm": width}))
+    smaller = prepare(study.model_copy(update={"window_mm": width}))
     assert smaller.camera.die_mm == width < 8.5
-    assert study_cost(smaller.study, smaller.camera, plan, (1024, 1024), jobs=1).seconds < 60
+    assert study_cost(smaller.study, smaller.camera, plan, SAMPLES, jobs=1).seconds < 60
 
 
-def test_cases_cost_holds_one_light_and_takes_one_report() -> None:
+def test_cases_cost_holds_one_light_and_takes_one_report(plan: Plan) -> None:
     """Twice as many lights take their renders and evaluations more, and no more memory than a limit allows.
 
     One alone has its optimum on other displays too.
     """
-    prepared = prepare_quietly(sheet_study(2.4))
-    plan = make_render_plan(prepared.cases[0].scene, prepared.camera)
+    prepared = prepare(sheet_study(2.4))
     one, two, few, many = (
-        cases_cost([(prepared.study, prepared.camera)] * count, count, plan, (1024, 1024), jobs=2) for count in (1, 2, 20, 40)
+        cases_cost([(prepared.study, prepared.camera)] * count, count, plan, SAMPLES, jobs=2) for count in (1, 2, 20, 40)
     )
-    assert one == study_cost(prepared.study, prepared.camera, plan, (1024, 1024), jobs=2)
+    assert one == study_cost(prepared.study, prepared.camera, plan, SAMPLES, jobs=2)
     assert few.memory_bytes == many.memory_bytes <= one.memory_bytes + SCENE_CACHE_BYTES
     assert many.seconds - few.seconds == pytest.approx(20 / 18 * (few.seconds - two.seconds))
     assert one.seconds < two.seconds < 2 * one.seconds
     assert 8 * one.seconds < few.seconds < 20 * one.seconds
-
-
-def prepare_quietly(study: Study) -> object:
-    with quiet():
-        return prepare(study)
 
 
 def test_cost_is_text_of_two_digits() -> None:
