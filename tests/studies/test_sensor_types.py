@@ -125,7 +125,23 @@ def test_check_axes_more_than_one_small_axis_raises() -> None:
             check_axes(small(axis=axes))
 
 
+# A sensor that is described by its numbers, and one of them that is known within a range.
 SHEET = {"pitch_um": 5.0, "full_well_e": 1e4, "read_noise_e": 20.0, "dark_current_e_per_s": 1.0, "quantum_efficiency": 0.6}
+NOISE = {"uncertainty": {"read_noise_e": {"sd": 5.0}}}
+
+
+def sheet(path: Path, **more: Any) -> Path:
+    path.write_text(f"pixel = {toml_of(SHEET | more)}\n", encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder with a study of one technology on few dots, so that 24 types take a second, and such a sheet."""
+    monkeypatch.chdir(tmp_path)
+    few = {"technologies": ["4t-bsi"], "camera": {"die_mm": 0.2}, "display": {"dots": 16}}
+    (tmp_path / "s.toml").write_text(written(**few), encoding="utf-8")
+    return sheet(tmp_path / "sheet.toml", **NOISE).parent
 
 
 def test_dry_run_counts_the_time_of_sensor_types(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -142,11 +158,7 @@ def test_dry_run_counts_the_time_of_sensor_types(tmp_path: Path, monkeypatch: py
 
 
 @pytest.mark.slow  # the draws are those above; test_uncertainty has the numbers of sheets
-def test_study_command_uncertainty_of_a_data_sheet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("s.toml").write_text(written(technologies=["4t-bsi"]), encoding="utf-8")
-    sheet = SHEET | {"uncertainty": {"read_noise_e": {"sd": 5.0}}}
-    Path("sheet.toml").write_text(f"pixel = {toml_of(sheet)}\n", encoding="utf-8")
+def test_study_command_uncertainty_of_a_data_sheet(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     code, out, err = command("study s.toml --config sheet.toml --uncertainty 8 --smaller-than 6 --jobs 1 --out out --json")
     assert code == 0, err
     assert "8 sensor types, at most 192 evaluations" in err
@@ -166,13 +178,8 @@ def test_study_command_uncertainty_of_a_data_sheet(tmp_path: Path, monkeypatch: 
         assert Path("again", name).read_bytes() == Path(name).read_bytes()
 
 
-def test_sobol_in_python_has_the_indices_of_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sobol_in_python_has_the_indices_of_the_command(desk: Path) -> None:
     """The command takes the rows of the study in Python, and finds nothing else to evaluate in them."""
-    monkeypatch.chdir(tmp_path)
-    few = {"camera": {"die_mm": 0.2}, "display": {"dots": 16}}  # so that 24 types take a second
-    Path("s.toml").write_text(written(technologies=["4t-bsi"], **few), encoding="utf-8")
-    sheet = SHEET | {"uncertainty": {"read_noise_e": {"sd": 5.0}}}
-    Path("sheet.toml").write_text(f"pixel = {toml_of(sheet)}\n", encoding="utf-8")
     (found,) = pixsim.study("s.toml", "out", config="sheet.toml", jobs=1, sobol=8, smaller_than_um=[6.0]).uncertainty
     assert len(found.outcomes) == 8 * (1 + 2)
     before = Path("out", TYPES_FILE).read_bytes()
@@ -195,16 +202,15 @@ def test_drawn_types_have_no_total_indices(done: tuple[Any, list[Any], Path]) ->
 
 def test_settings_keep_the_uncertainty_of_sheets_that_change(tmp_path: Path) -> None:
     """Of the study's own [pixel] and of data sheets among the technologies, whose files state something else by then."""
-    sheets = [tmp_path / "a.toml", tmp_path / "b.toml"]
-    for sheet, more in zip(sheets, ({"uncertainty": {"read_noise_e": {"range": [15.0, 25.0]}}}, {"bits": 8}), strict=True):
-        sheet.write_text(f"pixel = {toml_of(SHEET | more)}\n", encoding="utf-8")
+    of_noise = {"read_noise_e": {"range": [15.0, 25.0]}}
+    sheets = [sheet(tmp_path / "a.toml", uncertainty=of_noise), sheet(tmp_path / "b.toml", bits=8)]
     text = written(technologies=["a.toml", "b.toml", "4t-bsi"], pitch={"values_um": [4, 5, 6, 7, 8]}, resolution=COARSE)
     text += "pixel = { prnu = 0.01, uncertainty = { prnu = { sd = 0.001 } } }\n"
     (tmp_path / "s.toml").write_text(text, encoding="utf-8")
     result = pixsim.study(tmp_path / "s.toml", tmp_path / "out", jobs=1)
     (tmp_path / "settings.toml").write_text(result.settings_toml, encoding="utf-8")
-    for sheet in sheets:
-        sheet.write_text(f"pixel = {toml_of(SHEET | {'uncertainty': {'full_well_e': {'sd': 3.0}}})}\n", encoding="utf-8")
+    for path in sheets:
+        sheet(path, uncertainty={"full_well_e": {"sd": 3.0}})
     spreads = uncertainty_of(tmp_path / "settings.toml")
     own, of_sheet = {"prnu": Spread(sd=0.001)}, {"read_noise_e": Spread(range=(15.0, 25.0))}
     assert spreads == {"": own, str(sheets[0]): of_sheet, str(sheets[1]): {}}
@@ -215,8 +221,8 @@ def test_settings_keep_the_uncertainty_of_sheets_that_change(tmp_path: Path) -> 
 def test_sheets_have_separate_draws(tmp_path: Path) -> None:
     """Also of quantities with one draw in all technologies: each sensor was measured on its own."""
     for name, noise_e in (("a", 2.0), ("b", 3.0)):
-        more = {"dsnu": 0.2, "read_noise_e": noise_e, "uncertainty": {"dsnu": {"sd": 0.02}, "read_noise_e": {"sd": 0.2}}}
-        (tmp_path / f"{name}.toml").write_text(f"pixel = {toml_of(SHEET | more)}\n", encoding="utf-8")
+        spreads = {"dsnu": {"sd": 0.02}, "read_noise_e": {"sd": 0.2}}
+        sheet(tmp_path / f"{name}.toml", dsnu=0.2, read_noise_e=noise_e, uncertainty=spreads)
     (tmp_path / "s.toml").write_text(written(technologies=["a.toml", "b.toml", "0.35um", "0.25um"]), encoding="utf-8")
     study = load_study(tmp_path / "s.toml")
     sample = Asked(512).sample(study)
@@ -232,8 +238,8 @@ def test_sheets_have_separate_draws(tmp_path: Path) -> None:
 
 
 def test_settings_of_own_pixel_are_those_of_sheets_that_take_them_over(tmp_path: Path) -> None:
-    (tmp_path / "a.toml").write_text(f"pixel = {toml_of(SHEET)}\n", encoding="utf-8")
-    (tmp_path / "b.toml").write_text(f"pixel = {toml_of(SHEET | {'prnu': 0.02})}\n", encoding="utf-8")
+    sheet(tmp_path / "a.toml")
+    sheet(tmp_path / "b.toml", prnu=0.02)
     text = written(technologies=["a.toml", "b.toml"]) + "pixel = { prnu = 0.01, uncertainty = { prnu = { sd = 0.001 } } }\n"
     (tmp_path / "s.toml").write_text(text, encoding="utf-8")
     study, spreads = load_study(tmp_path / "s.toml"), uncertainty_of(tmp_path / "s.toml")
@@ -242,11 +248,10 @@ def test_settings_of_own_pixel_are_those_of_sheets_that_take_them_over(tmp_path:
 
 
 def test_uncertainty_beside_an_option_out_of_its_range_raises(tmp_path: Path) -> None:
-    sheet = SHEET | {"uncertainty": {"read_noise_e": {"range": [15.0, 25.0]}}}
-    (tmp_path / "sheet.toml").write_text(f"pixel = {toml_of(sheet)}\n", encoding="utf-8")
-    spreads = uncertainty_of("pixel-size", [tmp_path / "sheet.toml"])
-    unknowns_of_study(load_study("pixel-size", tmp_path / "sheet.toml", pixel={"read_noise_e": 16.0}), spreads)
-    other = load_study("pixel-size", tmp_path / "sheet.toml", pixel={"read_noise_e": 3.0})
+    path = sheet(tmp_path / "sheet.toml", uncertainty={"read_noise_e": {"range": [15.0, 25.0]}})
+    spreads = uncertainty_of("pixel-size", [path])
+    unknowns_of_study(load_study("pixel-size", path, pixel={"read_noise_e": 16.0}), spreads)
+    other = load_study("pixel-size", path, pixel={"read_noise_e": 3.0})
     with pytest.raises(PixsimError, match=r"pixel.uncertainty.read_noise_e: got range = \[15, 25\]; allowed: a range that holds 3"):
         unknowns_of_study(other, spreads)
 
@@ -273,11 +278,7 @@ def test_uncertainty_page_fits_screens(tmp_path: Path, monkeypatch: pytest.Monke
         ("--uncertainty 8 --axis camera.f_number=2,3,4,5,6,8", ["--uncertainty", "at most 5 values"]),
     ],
 )
-def test_study_command_uncertainty_invalid_is_refused(
-    line: str, texts: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("s.toml").write_text(written(technologies=["4t-bsi"]), encoding="utf-8")
-    Path("sheet.toml").write_text(f"pixel = {toml_of(SHEET)}\n", encoding="utf-8")
+def test_study_command_uncertainty_invalid_is_refused(line: str, texts: list[str], desk: Path) -> None:
+    sheet(desk / "sheet.toml")
     assert_refused(*command(f"study s.toml --config sheet.toml --jobs 1 --out out {line}"), texts)
     assert not Path("out").exists()
