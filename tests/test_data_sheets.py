@@ -133,12 +133,9 @@ def test_study_same_sensor_in_every_way_gives_same_rows(tmp_path: Path) -> None:
 
 def test_later_layer_replaces_value_under_another_word(tmp_path: Path) -> None:
     """An option in a data sheet's words replaces the file's field, and the other way round."""
-    path = file_of(tmp_path / "a.toml", SHEET)
-    small = "--resolution 32 --display.dots 16 --irradiance none --json"
-    code, out, err = command(f"run csf {small} --config", path, "--pixel.temporal-dark-noise-e", 9, "--out", tmp_path / "out")
-    assert code == 0, err
-    pixel = json.loads(out)["pixel"]
-    assert (pixel["read_noise_e"], pixel["temporal_dark_noise_e"], pixel["technology"]) == (None, 9.0, "none")
+    for pixel, name, other in ((SHEET, "temporal_dark_noise_e", "read_noise_e"), (WORDS, "read_noise_e", "temporal_dark_noise_e")):
+        found = run_settings(file_of(tmp_path / "a.toml", pixel), {"pixel": {name: 9.0}}).pixel
+        assert (getattr(found, name), getattr(found, other), found.technology) == (9.0, None, "none")
 
 
 # --- Round trip of published data sheets -------------------------------------------------------------------------------

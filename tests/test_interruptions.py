@@ -8,7 +8,6 @@ import json
 import os
 import random
 import re
-import resource
 import shlex
 import signal
 import struct
@@ -649,14 +648,7 @@ def test_replacing_keeps_the_permissions_of_a_new_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("closed", "line", "expected"),
-    [
-        ((0,), "--version", 0),
-        pytest.param((1,), "schema study", 0, marks=pytest.mark.slow),
-        pytest.param((2,), "schema nothing", 2, marks=pytest.mark.slow),  # each takes a process; the last two have it too
-        ((0, 1, 2), "schema study", 0),
-        ((0, 1, 2), "schema nothing", 2),
-    ],
+    ("closed", "line", "expected"), [((0,), "--version", 0), ((0, 1, 2), "schema study", 0), ((0, 1, 2), "schema nothing", 2)]
 )
 def test_command_closed_streams_are_like_dev_null(closed: tuple[int, ...], line: str, expected: int, tmp_path: Path) -> None:
     def close() -> None:
@@ -672,10 +664,7 @@ def test_command_closed_streams_are_like_dev_null(closed: tuple[int, ...], line:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
-@pytest.mark.parametrize(
-    ("stream", "line", "expected"),
-    [("stdout", "cache", 2), pytest.param("stdout", "--help", 2, marks=pytest.mark.slow), ("stderr", "schema nothing", 2)],
-)
+@pytest.mark.parametrize(("stream", "line", "expected"), [("stdout", "cache", 2), ("stderr", "schema nothing", 2)])
 def test_command_full_stream(stream: str, line: str, expected: int, tmp_path: Path) -> None:
     with open("/dev/full", "w") as full:
         process = started(line, tmp_path, **{stream: full})
@@ -714,46 +703,6 @@ def test_scheduler_without_port_says_so(tmp_path: Path) -> None:
     out, err = process.communicate(timeout=HANG_S)
     assert_refused(process.returncode, out, err, ["--scheduler: got 'x'", "allowed: the address of a running Dask scheduler"])
     assert not (tmp_path / "out").exists()
-
-
-def limited(max_bytes: int) -> object:
-    """For `preexec_fn`: no file can be longer. The limit stands for a full disk: a write fails in the same place."""
-
-    def limit() -> None:
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (max_bytes, max_bytes))
-
-    return limit
-
-
-@pytest.mark.slow  # test_hostile has a full disk for a run
-@pytest.mark.parametrize(
-    "max_bytes", [500, pytest.param(6000, marks=pytest.mark.slow), pytest.param(100_000, marks=pytest.mark.slow)]
-)
-def test_compare_full_disk_names_file_and_leaves_the_folder_as_it_was(
-    max_bytes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """At the rows, at a picture and at the page; a comparison of before stays whole, beside the rows of this one."""
-    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
-    line = f"compare 0.35um 4t-bsi {SMALL} --pixel.pitch-um 40 --jobs 1 --repeats 2 --out out"
-    with output_folder(tmp_path / "out") as out_folder, publishing(out_folder, "compare") as folder:
-        (folder / "compare.json").write_text("before")
-    before = {path: path.read_bytes() for path in (tmp_path / "out").rglob("*")}
-    process = started(line, tmp_path, preexec_fn=limited(max_bytes))
-    out, err = process.communicate(timeout=HANG_S)
-    assert (process.returncode, out) == (2, "")
-    said = notes_of(err)
-    assert len(set(said)) == len(said), err
-    # What others have not yet stored in the caches.
-    notes = [note for note in said if not note.startswith(("warning: cache folder ", "jit_kernel_write"))]
-    assert len(notes) == 1, err
-    rows = r"results: 'out/results\.csv' cannot be written \((File too large|No space left on device)\)\. Finished rows are kept"
-    files = r"output file: 'out/(pictures/\w+_0\.35um\.png|report\.html)' cannot be written \(File too large\)\."
-    assert re.match(f"pixsim: {rows if max_bytes == 500 else files}", notes[0])
-    assert max_bytes == 500 or "The files that the folder held before are unchanged." in notes[0]
-    kept = {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file() and path.name != "results.csv"}
-    assert kept == before
-    assert not list((tmp_path / "tmp").iterdir())
 
 
 def test_said_what_is_kept_counts_evaluations(tmp_path: Path) -> None:

@@ -70,13 +70,6 @@ def test_result_is_shown_and_written_as_a_table(made: RunResult, tmp_path: Path)
     assert float(row["mean_delta_e"]) == made.mean_delta_e == made.score.mean_delta_e
 
 
-def test_further_frames_are_of_the_same_sensor(made: RunResult) -> None:
-    (second,) = made.further_frames()
-    first = made.score.frame
-    assert second.dn.shape == first.dn.shape
-    assert not np.array_equal(second.dn, first.dn)
-
-
 # --- several sensors ---
 
 MANY = 400

@@ -345,13 +345,6 @@ def test_study_adds_rounds_to_limit(done: tuple[StudyResult, Path]) -> None:
     assert [path.name for path in folder.iterdir()] == ["results.csv"]
 
 
-@pytest.mark.slow  # test_engine starts workers
-def test_study_target_two_workers_same_rounds(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
-    result = pixsim.study(tiny(), tmp_path, jobs=2)
-    assert (tmp_path / "results.csv").read_bytes() == (done[1] / "results.csv").read_bytes()
-    assert summary(result) == summary(done[0])
-
-
 # After two of the first six sizes; in the first round; in the second.
 @pytest.mark.parametrize(("begun", "kept"), [(12, 4), pytest.param(12, 14, marks=pytest.mark.slow), (20, 24)])
 def test_study_interrupted_round_is_resumed(

@@ -164,6 +164,8 @@ def test_total_indices_of_sobol_points() -> None:
         (Spread(range=(1.0, 4.0), distribution="normal"), stats.norm(2.5, 1.5 / stats.norm.ppf(0.95))),
         (Spread(range=(1.0, 4.0), distribution="lognormal"), stats.lognorm(math.log(2) / stats.norm.ppf(0.95), scale=2)),
         (Spread(sd=0.5, distribution="uniform"), stats.uniform(2 - 0.5 * 3**0.5, 3**0.5)),
+        # Of a mean of 2 and a standard deviation of 0.8.
+        (Spread(sd=0.8, distribution="lognormal"), stats.lognorm(math.sqrt(math.log(1.16)), scale=2 / math.sqrt(1.16))),
     ],
 )
 def test_unknown_at_matches_scipy(spread: Spread, reference: Any) -> None:
@@ -186,12 +188,6 @@ def test_value_quantile_is_inverse_of_at() -> None:
     lines = propagate([replace(unknown, spread=Spread(range=(1.9, 4.0)))], sensor(lambda draw: draw["dsnu"]), 8).statements
     assert any("dsnu (5%)" in line for line in lines)
     assert not any("quantiles:" in line for line in propagate(NORMAL, sensor(linear), 8).statements)
-
-
-def test_unknown_lognormal_sd_is_about_its_value() -> None:
-    share = (np.arange(1 << 16) + 0.5) / (1 << 16)
-    values = Unknown("x_e", 2.0, Spread(sd=0.8, distribution="lognormal")).at(share)
-    assert (values.mean(), values.std()) == pytest.approx((2.0, 0.8), rel=1e-3)
 
 
 # --- Censoring, and the optimum's own interval -------------------------------------------------------------------------
@@ -290,16 +286,6 @@ def test_probability_is_jeffreys_interval(holds: int, draws: int) -> None:
     low, high = stats.beta.ppf([0.025, 0.975], holds + 0.5, draws - holds + 0.5)
     expected = (holds / draws, 0.0 if not holds else low, 1.0 if holds == draws else high, draws)
     assert (found.probability, found.low, found.high, found.draws) == pytest.approx(expected, rel=1e-9)
-
-
-def test_probability_covers_independent_draws() -> None:
-    """Exactly, over the binomial distribution of 64 draws: Jeffreys' interval covers 95 % in the mean over probabilities."""
-    ends = [Probability.of([True] * k + [False] * (64 - k)) for k in range(65)]
-    covered = [
-        sum(stats.binom.pmf(k, 64, p) for k, each in enumerate(ends) if each.low <= p <= each.high)
-        for p in np.linspace(0.05, 0.95, 91)
-    ]
-    assert np.mean(covered) == pytest.approx(0.95, abs=0.01)
 
 
 # --- Inputs ------------------------------------------------------------------------------------------------------------
