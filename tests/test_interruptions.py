@@ -265,15 +265,7 @@ cli.command()
 
 @pytest.mark.parametrize(
     ("way", "number"),
-    [
-        ("imports", signal.SIGINT),
-        ("turns", signal.SIGTERM),
-        ("drops", signal.SIGINT),
-        # One handler takes both signals.
-        pytest.param("imports", signal.SIGTERM, marks=pytest.mark.slow),
-        pytest.param("turns", signal.SIGINT, marks=pytest.mark.slow),
-        pytest.param("drops", signal.SIGTERM, marks=pytest.mark.slow),
-    ],
+    [("imports", signal.SIGINT), ("turns", signal.SIGTERM), ("drops", signal.SIGINT)],  # one handler takes both signals
 )
 def test_interruption_is_not_turned_into_another_error(way: str, number: signal.Signals, tmp_path: Path) -> None:
     """As libraries in C++ do, above all while they are imported."""
