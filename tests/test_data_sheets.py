@@ -20,6 +20,7 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.toml import read_toml
 from pixsim.cli.options import SceneOptions
 from pixsim.measure.datasheet import datasheet_settings, make_datasheet
+from pixsim.report.study import settings as settings_tables
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import implausible_numbers, sheet_disagreements
 from pixsim.sensor.pixel_options import Pixel, is_data_sheet
@@ -350,6 +351,8 @@ def test_study_of_data_sheets_gives_curves_of_each_alone(tmp_path: Path) -> None
     paths = [file_of(tmp_path / f"{name}.toml", pixel) for name, pixel in (("one", SHEET), ("other", OTHER))]
     result = pixsim.study(plan, tmp_path / "both", pixel={"bits": 11}, jobs=1)
     assert all(f"{name}: " in repr(result) for name in ("one", "other"))
+    captions = [table.caption for table in settings_tables(result)]
+    assert [caption for caption in captions if str(caption).startswith("pixel of ")] == ["pixel of one", "pixel of other"]
     for path in paths:
         pixsim.study(alone, tmp_path / path.stem, config=path, pixel={"bits": 11}, jobs=1)
         expected = numbers(tmp_path / path.stem)
