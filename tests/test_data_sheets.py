@@ -6,7 +6,6 @@ import json
 import re
 import tomllib
 import warnings
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -20,12 +19,11 @@ import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.base.toml import read_toml
 from pixsim.cli.options import SceneOptions
-from pixsim.measure import datasheet
 from pixsim.measure.datasheet import datasheet_settings, make_datasheet
+from pixsim.report.study import settings as settings_tables
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import implausible_numbers, sheet_disagreements
 from pixsim.sensor.pixel_options import Pixel, is_data_sheet
-from pixsim.show.render import BELOW
 from pixsim.studies.lineup import sensor_layer
 from pixsim.studies.pixels import technology_of
 from pixsim.studies.preparation import check_technologies, prepare
@@ -40,6 +38,12 @@ SHEET: dict[str, Any] = {
 # The same numbers, bit for bit, in the words of a data sheet.
 WORDS: dict[str, Any] = {name: SHEET[name] for name in ("pitch_um", "full_well_e", "quantum_efficiency", "bits")} | {
     "temporal_dark_noise_e": 6.5, "dark_current": {"e_per_s": 125.0, "at_c": 27.0}, "prnu_percent": 1.0, "dsnu_e": 12.0,
+}  # fmt: skip
+# Mismatch of the layout, hot pixels, a split read noise and a gain.
+AMPLIFIED: dict[str, Any] = {
+    "pitch_um": 6.0, "full_well_e": 12_000.0, "read_noise_e": 3.0, "read_noise_after_gain_e": 40.0, "dark_current_e_per_s": 900.0,
+    "quantum_efficiency": 0.6, "bits": 12, "prnu_um": 0.06, "dn_per_e": 0.3, "hot_pixel_fraction": 0.01, "hot_pixel_median": 30.0,
+    "hot_pixel_spread": 1.0,
 }  # fmt: skip
 SMALL = "--resolution 48 --display.dots 64 --seed 3"
 
@@ -57,16 +61,10 @@ def options_of(pixel: dict[str, Any], name: str = "--pixel") -> list[str]:
     return found
 
 
-def parts(pixel: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The sheet in two incomplete halves."""
-    items = list(pixel.items())
-    return dict(items[::2]), dict(items[1::2])
-
-
 def ways(pixel: dict[str, Any], folder: Path) -> dict[str, list[object]]:
-    """Arguments of a command that give the sensor as a file, as options, as both, and as two files."""
+    """Arguments of a command that give the sensor as a file, as options, as both, and as two files, each with a half of it."""
     folder.mkdir(exist_ok=True)
-    one, other = parts(pixel)
+    one, other = (dict(list(pixel.items())[start::2]) for start in (0, 1))
     whole, first, second = (file_of(folder / f"{n}.toml", part) for n, part in enumerate((pixel, one, other)))
     return {
         "file": ["--config", whole],
@@ -77,66 +75,39 @@ def ways(pixel: dict[str, Any], folder: Path) -> dict[str, list[object]]:
     }
 
 
-@pytest.mark.parametrize("pixel", [SHEET, pytest.param(WORDS, marks=pytest.mark.slow)], ids=["fields", "words"])
-def test_run_same_sensor_in_every_way_gives_same_frame(pixel: dict[str, Any], tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("pixel", "gain_db", "names"),
+    [
+        pytest.param(SHEET, 0.0, ("file", "options", "both", "files", "none"), id="fields"),
+        pytest.param(WORDS, 0.0, ("file", "options", "files"), id="words", marks=pytest.mark.slow),
+        pytest.param(AMPLIFIED, 12.0, ("file", "options"), id="amplified"),
+    ],
+)
+def test_run_same_sensor_in_every_way_gives_same_frame(
+    pixel: dict[str, Any], gain_db: float, names: tuple[str, ...], tmp_path: Path
+) -> None:
     frames = {}
-    every_way = ways(pixel, tmp_path / "sheets")
-    for name in every_way if pixel is SHEET else ("file", "options", "files"):
-        arguments = every_way[name]
+    for name in names:
+        arguments = ways(pixel, tmp_path / "sheets")[name]
         with warnings.catch_warnings(action="always"):
-            code, out, err = command(f"run csf {SMALL} --json", *arguments, "--out", tmp_path / name)
+            line = f"run csf {SMALL} --exposure.gain-db {gain_db} --json"
+            code, out, err = command(line, *arguments, "--out", tmp_path / name)
         assert code == 0, err
         score = json.loads(out)
         assert (score["pixel"]["technology"], score["fill_factor"], score["assumption"]) == ("none", 1.0, "")
-        frames[name] = pixsim.read_frame(tmp_path / name / "raw.exr").dn
-        assert ("[pixel] is a mixture of 2 files" in err) == (name == "files")
-    irradiance = pixsim.read_exr(tmp_path / "file/irradiance.exr")
-    camera = pixsim.Camera.model_validate(score["camera"])
-    for technology in ({}, {"technology": None}, {"technology": "none"}):
-        python = pixsim.evaluate(irradiance, camera, pixsim.Pixel(**SHEET, **technology), display=pixsim.Display(dots=64), seed=3)
-        frames[f"python {technology}"] = python.frame.dn
-    assert frames["file"].std() > 10, "a frame with noise and detail"
-    for name, dn in frames.items():
-        assert np.array_equal(dn, frames["file"]), name
-
-
-# Mismatch of the layout, hot pixels, a split read noise and a gain.
-AMPLIFIED: dict[str, Any] = {
-    "pitch_um": 6.0, "full_well_e": 12_000.0, "read_noise_e": 3.0, "read_noise_after_gain_e": 40.0, "dark_current_e_per_s": 900.0,
-    "quantum_efficiency": 0.6, "bits": 12, "prnu_um": 0.06, "dn_per_e": 0.3, "hot_pixel_fraction": 0.01, "hot_pixel_median": 30.0,
-    "hot_pixel_spread": 1.0,
-}  # fmt: skip
-
-
-def test_run_at_gain_by_file_options_and_python_gives_same_frame(tmp_path: Path) -> None:
-    path = file_of(tmp_path / "a.toml", AMPLIFIED)
-    path.write_text(path.read_text(encoding="utf-8") + "[exposure]\ngain_db = 12\n", encoding="utf-8")
-    frames = {}
-    for name, arguments in {"file": ["--config", path], "options": [*options_of(AMPLIFIED), "--exposure.gain-db", "12"]}.items():
-        code, _, err = command(f"run csf {SMALL} --json", *arguments, "--out", tmp_path / name)
-        assert code == 0, err
         frames[name] = pixsim.read_frame(tmp_path / name / "raw.exr")
-    irradiance = pixsim.read_exr(tmp_path / "file/irradiance.exr")
-    camera = pixsim.Camera.model_validate(irradiance.header["camera"])
-    exposure, display = pixsim.Exposure(gain_db=12), pixsim.Display(dots=64)
-    python = pixsim.evaluate(irradiance, camera, pixsim.Pixel(**AMPLIFIED), exposure, display, seed=3).frame
+        assert ("[pixel] is a mixture of 2 files" in err) == (name == "files")
+    irradiance, camera = pixsim.read_exr(tmp_path / "file/irradiance.exr"), pixsim.Camera.model_validate(score["camera"])
+    exposure, display = pixsim.Exposure(gain_db=gain_db), pixsim.Display(dots=64)
+    same = SHEET if pixel is WORDS else pixel
+    for technology in ({}, {"technology": None}, {"technology": "none"}):
+        python = pixsim.evaluate(irradiance, camera, Pixel(**same, **technology), exposure, display, seed=3)
+        frames[f"python {technology}"] = python.frame
     assert frames["file"].dn.std() > 10, "a frame with noise and detail"
-    assert frames["file"].dn_per_e == pytest.approx(0.3 * 10**0.6, rel=1e-6)
-    for name, dn in {"options": frames["options"].dn, "python": python.dn}.items():
-        assert np.array_equal(dn, frames["file"].dn), name
-
-
-@pytest.mark.slow
-def test_datasheet_same_sensor_in_every_way_gives_same_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The command's summary against that of `make_datasheet`: measured on the frames, it is equal only if they are."""
-    few = partial(datasheet.make_datasheet, shape=(60, 60), stack_frames=8)
-    monkeypatch.setattr(datasheet, "make_datasheet", few)
-    expected = json.loads(json.dumps(few(pixsim.Pixel(**SHEET)).as_dict()))
-    arguments = ways(SHEET, tmp_path / "sheets") | {"positional": [tmp_path / "sheets/0.toml"]}
-    for name in ("both", "positional"):
-        code, out, err = command("datasheet --json", *arguments[name], "--out", tmp_path / name)
-        assert code == 0, err
-        assert json.loads(out) == {"schema": 1} | expected, name
+    if "dn_per_e" in pixel:
+        assert frames["file"].dn_per_e == pytest.approx(pixel["dn_per_e"] * 10 ** (gain_db / 20), rel=1e-6)
+    for name, frame in frames.items():
+        assert np.array_equal(frame.dn, frames["file"].dn), name
 
 
 @pytest.mark.slow
@@ -163,12 +134,9 @@ def test_study_same_sensor_in_every_way_gives_same_rows(tmp_path: Path) -> None:
 
 def test_later_layer_replaces_value_under_another_word(tmp_path: Path) -> None:
     """An option in a data sheet's words replaces the file's field, and the other way round."""
-    path = file_of(tmp_path / "a.toml", SHEET)
-    small = "--resolution 32 --display.dots 16 --irradiance none --json"
-    code, out, err = command(f"run csf {small} --config", path, "--pixel.temporal-dark-noise-e", 9, "--out", tmp_path / "out")
-    assert code == 0, err
-    pixel = json.loads(out)["pixel"]
-    assert (pixel["read_noise_e"], pixel["temporal_dark_noise_e"], pixel["technology"]) == (None, 9.0, "none")
+    for pixel, name, other in ((SHEET, "temporal_dark_noise_e", "read_noise_e"), (WORDS, "read_noise_e", "temporal_dark_noise_e")):
+        found = run_settings(file_of(tmp_path / "a.toml", pixel), {"pixel": {name: 9.0}}).pixel
+        assert (getattr(found, name), getattr(found, other), found.technology) == (9.0, None, "none")
 
 
 # --- Round trip of published data sheets -------------------------------------------------------------------------------
@@ -191,25 +159,18 @@ PUBLISHED = {
 BOUNDED = ("thorlabs_cs165",)
 
 
-def test_sheets_are_the_published_ones() -> None:
-    assert {path.stem for path in SHEETS.glob("*.toml")} == set(PUBLISHED)
-    for path in SHEETS.glob("*.toml"):
-        lines = path.read_text(encoding="utf-8").splitlines()
-        for number, line in enumerate(lines):
-            if " = " in line and not line.startswith("#"):
-                assert lines[number - 1].startswith("#") or "temperature_k" in line, f"{path.name}, line {number + 1}: no source"
-
-
 PACKAGED = packaged_sensors()
 
 
-def test_numbers_of_packaged_sensors_have_their_sources() -> None:
-    """A comment above each number names who published it, or that it is an assumption."""
-    for path in PACKAGED.values():
+def test_each_number_of_a_sheet_has_its_source() -> None:
+    """A comment above it names who published it, or that it is an assumption."""
+    assert {path.stem for path in SHEETS.glob("*.toml")} == set(PUBLISHED)
+    assert {"imx363", "imx477"} <= set(PACKAGED)
+    for path in (*SHEETS.glob("*.toml"), *PACKAGED.values()):
         lines = path.read_text(encoding="utf-8").splitlines()
         bare = [line for above, line in pairwise(lines) if re.match(r"\w+ = ", line) and not above.startswith("#")]
-        assert not bare, path.name
-    assert {"imx363", "imx477"} <= set(PACKAGED)
+        given = ("temperature_k",) if path.parent == SHEETS else ()  # of the sheet's own numbers
+        assert not [line for line in bare if not line.startswith(given)], path.name
 
 
 def test_packaged_sensor_is_its_file_wherever_a_settings_file_stands() -> None:
@@ -384,26 +345,21 @@ def numbers(folder: Path, technology: str | None = None) -> list[list[str]]:
 
 def test_study_of_data_sheets_gives_curves_of_each_alone(tmp_path: Path) -> None:
     """Each scaled from its own pitch, under the stem of its file; an option replaces a value of both."""
-    for name, pixel in (("one", SHEET), ("other", OTHER)):
-        file_of(tmp_path / f"{name}.toml", pixel)
-    plan = tmp_path / "own.toml"
+    plan, alone = tmp_path / "own.toml", tmp_path / "alone.toml"
     plan.write_text(tiny_toml(technologies=["one.toml", "other.toml"], **ONE_RENDER), encoding="utf-8")
-    code, out, err = command(f"study {plan} --jobs 1 --pixel.bits 11 --out {tmp_path / 'both'}")
-    assert code == 0, err
-    headlines = [line for line in out.splitlines() if not line.startswith(BELOW)]
-    assert [line.partition(":")[0] for line in headlines[:2]] == ["one", "other"]
-    alone = tmp_path / "alone.toml"
     alone.write_text(tiny_toml(**ONE_RENDER), encoding="utf-8")
-    for name in ("one", "other"):
-        path = tmp_path / f"{name}.toml"
-        pixsim.study(alone, tmp_path / name, config=path, pixel={"bits": 11}, jobs=1)
-        expected = numbers(tmp_path / name)
+    paths = [file_of(tmp_path / f"{name}.toml", pixel) for name, pixel in (("one", SHEET), ("other", OTHER))]
+    result = pixsim.study(plan, tmp_path / "both", pixel={"bits": 11}, jobs=1)
+    assert all(f"{name}: " in repr(result) for name in ("one", "other"))
+    captions = [table.caption for table in settings_tables(result)]
+    assert [caption for caption in captions if str(caption).startswith("pixel of ")] == ["pixel of one", "pixel of other"]
+    for path in paths:
+        pixsim.study(alone, tmp_path / path.stem, config=path, pixel={"bits": 11}, jobs=1)
+        expected = numbers(tmp_path / path.stem)
         assert len(expected) == 10
         assert numbers(tmp_path / "both", str(path)) == expected
     wells_e = [float(row["full_well_e"]) for row in rows(tmp_path / "both") if row["pitch_um"] == "30.0"]
     assert wells_e == pytest.approx([12000.0] * 2 + [30000.0 * (30 / 20) ** 2] * 2)
-    page = (tmp_path / "both/report.html").read_text(encoding="utf-8")
-    assert all(f"pixel of {name}" in page for name in ("one", "other"))
 
 
 def test_study_of_data_sheets_range_and_messages(tmp_path: Path) -> None:

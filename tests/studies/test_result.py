@@ -77,13 +77,9 @@ def test_study_result_repr_html_escapes_markup(result: StudyResult) -> None:
         assert f"{best.mean_delta_e:.3f} ({best.mean_delta_e_interval[0]:.3f} to " in message
         assert (f"{best.pitch_um:.2f}" in message) if best.inside else (f"none; least at {best.pitch_um:.2f}" in message)
     assert image_of(cell).startswith("<?xml")
-
-
-def test_study_result_plot_shows_points(result: StudyResult) -> None:
     axes = result.plot().axes[0]
     assert axes.get_xlabel() == "pixel size (µm)"
-    drawn = {tuple(np.round(line.get_xdata(), 6)) for line in axes.lines}
-    assert tuple(result.curves[0].pitch_um) in drawn
+    assert tuple(result.curves[0].pitch_um) in {tuple(np.round(line.get_xdata(), 6)) for line in axes.lines}
 
 
 def test_to_csv_round_trips(score: Score, result: StudyResult, tmp_path: Path) -> None:

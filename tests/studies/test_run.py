@@ -70,13 +70,6 @@ def test_result_is_shown_and_written_as_a_table(made: RunResult, tmp_path: Path)
     assert float(row["mean_delta_e"]) == made.mean_delta_e == made.score.mean_delta_e
 
 
-def test_further_frames_are_of_the_same_sensor(made: RunResult) -> None:
-    (second,) = made.further_frames()
-    first = made.score.frame
-    assert second.dn.shape == first.dn.shape
-    assert not np.array_equal(second.dn, first.dn)
-
-
 # --- several sensors ---
 
 MANY = 400
@@ -137,9 +130,10 @@ def test_repeats_are_in_all_outputs(made: RunResult, tmp_path: Path) -> None:
 
 
 def test_a_tolerance_takes_more_sensors_than_asked_for_but_not_fewer() -> None:
-    options: dict[str, Any] = {"resolution": 64, "tolerance_delta_e": 0.5, "pixel": {"pitch_um": 42.4}, "display": {"dots": 32}}
+    options: dict[str, Any] = {"resolution": 64, "tolerance_delta_e": 0.05, "pixel": {"pitch_um": 42.4}}
+    options |= {"camera": {"die_mm": 1.0}, "display": {"dots": 16}}
     chosen = pixsim.run("csf", **options).as_dict()
-    assert "repeats" not in chosen
+    assert ("repeats" in chosen, chosen["sensors"] > 1) == (False, True)
     asked = pixsim.run("csf", repeats=chosen["sensors"] + 2, **options).as_dict()
     assert asked["repeats"] == asked["sensors"] == asked["error_budget"]["settings"]["sensors"] == chosen["sensors"] + 2
     sources = [each["error_budget"]["sources"]["seeds"]["delta_e"] for each in (asked, chosen)]

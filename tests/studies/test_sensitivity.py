@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Iterator
 from dataclasses import replace
@@ -13,7 +14,7 @@ import pytest
 from benchmarks.paper_table import claims_table, counts, tornado_table
 from helpers.browser import BROWSER, assert_fits, assert_prints
 from helpers.commands import command
-from helpers.tiny import COARSE, PITCHES_UM, rows, tiny_toml
+from helpers.tiny import COARSE, PITCHES_UM, rows, tiny, tiny_toml
 
 import pixsim
 from pixsim.base.errors import PixsimError
@@ -21,10 +22,11 @@ from pixsim.base.schema import SCHEMA
 from pixsim.cli.templates import json_schema
 from pixsim.report.axes import axes_summary
 from pixsim.sensor.technology import load_technology
-from pixsim.studies.cases import cases_of, with_range_ends
+from pixsim.studies.axis import Axis
+from pixsim.studies.cases import Case, cases_of, with_range_ends
 from pixsim.studies.claims import Evidence, findings, scaling_rows, turned_words, verdicts
 from pixsim.studies.optimum import fit_curve
-from pixsim.studies.preparation import check_pitches
+from pixsim.studies.preparation import check_pitches, prepare
 from pixsim.studies.result import CasesResult, Curve, StudyResult
 from pixsim.studies.sampling import study_pitches_um
 from pixsim.studies.study_file import load_study
@@ -94,21 +96,17 @@ def case(result: StudyResult, axis: str, value: float | str) -> StudyResult:
 # --- a study with a base ----------------------------------------------------------------------------------------------
 
 
-def test_study_with_base_has_its_values_and_streams(desk: Path) -> None:
+def test_study_with_base_has_its_values_and_streams(desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A base is found next to the file that names it; the streams are those of the first."""
     base, own = load_study("tiny.toml"), load_study("sensitivity.toml")
     assert (own.name, own.stream_name, base.stream_name) == ("tiny-sensitivity", "tiny", "tiny")
     assert (own.repeats, base.repeats) == (2, 4)
     same = base.model_copy(update={name: getattr(own, name) for name in ("name", "streams", "repeats", "pitch", "axis")})
     assert same == own
-
-
-def test_study_with_base_of_base_and_file_beside_it(tmp_path: Path, desk: Path) -> None:
-    """A base is found next to the file that names it; the streams are those of the first."""
-    (tmp_path / "tiny.toml").write_text(BASE_TOML, encoding="utf-8")
-    for name, base in (("one", "tiny"), ("two", "one")):
-        (tmp_path / f"{name}.toml").write_text(f'name = "{name}"\nbase = "{base}.toml"\n', encoding="utf-8")
-    own = load_study(tmp_path / "two.toml")
-    assert (own.name, own.stream_name, own.repeats) == ("two", "tiny", 4)
+    (desk / "third.toml").write_text('name = "third"\nbase = "sensitivity.toml"\n', encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    third = load_study(desk / "third.toml")
+    assert (third.name, third.stream_name, third.repeats) == ("third", "tiny", 2)
 
 
 @pytest.mark.parametrize(
@@ -157,33 +155,27 @@ def test_range_of_covers_both_ends_in_all_and_alone(desk: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ('range_of = "dark_current"', "axis dark current: range_of: got 'dark_current'; allowed: .*Did you mean 'dark_current_na"),
-        ('range_of = "dsnu"\nvalues = [1]', "range_of and values both state the values"),
-        ('range_of = "dsnu"\nset = "pixel.dsnu"', "range_of and set both state the values"),
-        ('range_of = "dsnu"\nalone = false', "range_of without alone = true"),
+        ({"range_of": "dark_current"}, "axis dark current: range_of: got 'dark_current'; allowed: .*Did you mean 'dark_current_na"),
+        ({"values": [1]}, "range_of and values both state the values"),
+        ({"set": "pixel.dsnu"}, "range_of and set both state the values"),
+        ({"alone": False}, "range_of without alone = true"),
     ],
 )
-def test_range_of_invalid_raises_before_render(change: str, message: str, desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pixsim.scene.renderer.render", lambda *_, **__: pytest.fail("rendered"))
-    text = SENSITIVITY_TOML.replace('range_of = "dark_current_na_per_cm2"\nalone = true', f"{change}\nalone = true")
-    text = text.replace("alone = false\nalone = true", "alone = false")
-    (desk / "wrong.toml").write_text(text, encoding="utf-8")
-    with pytest.raises(PixsimError, match=message):
-        pixsim.study("wrong.toml", desk / "wrong")
-    assert not (desk / "wrong").exists()
+def test_range_of_invalid_raises_before_render(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        prepare(tiny(axis=[{"name": "dark current", "range_of": "dsnu", "alone": True} | change]))
 
 
-def test_range_of_without_range_is_left_out_with_a_warning() -> None:
+def test_range_of_leaves_out_what_has_no_range_and_keeps_what_the_study_has_set_to_an_end() -> None:
     """The peak of 0.35 µm is measured."""
-    axis = {"name": "peak", "range_of": "peak_quantum_efficiency", "alone": True}
-    with pytest.warns(UserWarning, match="axis peak: no technology of the study has a range"):
-        assert with_range_ends(pixsim.Study.model_validate({"name": "a", "axis": [axis]})).axis == ()
 
+    def axes(number: str, **process: object) -> tuple[Axis, ...]:
+        return with_range_ends(tiny(process={"0.35um": process}, axis=[{"name": "d", "range_of": number, "alone": True}])).axis
 
-def test_range_of_keeps_a_number_that_the_study_has_set_to_that_end() -> None:
+    with pytest.warns(UserWarning, match="axis d: no technology of the study has a range"):
+        assert axes("peak_quantum_efficiency") == ()
     low, high = load_technology("0.35um").ranges["dsnu"]
-    table = {"name": "a", "process": {"0.35um": {"dsnu": low}}, "axis": [{"name": "d", "range_of": "dsnu", "alone": True}]}
-    (axis,) = with_range_ends(pixsim.Study.model_validate(table)).axis
+    (axis,) = axes("dsnu", dsnu=low)
     assert [point.label for point in axis.points] == [f"0.35um {high:g}"]
 
 
@@ -242,23 +234,20 @@ def test_statements_of_a_case_are_those_of_the_study_alone(value: str, done: tup
 def test_sensitivity_command_two_workers_same_result(done: tuple[StudyResult, Path], desk: Path) -> None:
     code, message, _ = command("study sensitivity.toml --out command --jobs 2")
     assert code == 0
-    with pytest.warns(UserWarning, match="the axis PRNU changes nothing"):
-        result = pixsim.study("sensitivity.toml", desk / "measured", jobs=1)
-    out, lines = Path("command"), message.splitlines()
+    out, lines = desk / "command", message.splitlines()
     assert lines[0].startswith("0.35um: ")
     assert any(line.startswith("0.35um, PRNU alone: ") for line in lines)
-    assert rows(out) == rows(desk / "measured") == rows(done[1]), "the rows depend on the number of workers"
-    assert json.loads((out / "summary.json").read_text(encoding="utf-8")) == json.loads(
-        json.dumps({"schema": SCHEMA} | axes_summary(result, []))
-    )
+    assert rows(out) == rows(done[1]), "the rows depend on the number of workers"
+    expected = json.loads(json.dumps({"schema": SCHEMA} | axes_summary(done[0], [])))
+    assert json.loads((out / "summary.json").read_text(encoding="utf-8")) == expected
     page = (out / "report.html").read_text(encoding="utf-8")
-    for verdict in verdicts(result):
+    for verdict in verdicts(done[0]):
         assert f"{len(verdict.turned_by)} of 11" in page
     if BROWSER:
-        here = Path("browser").resolve()
+        here = desk / "browser"
         here.mkdir()
-        assert_fits(out.resolve() / "report.html", here)
-        assert_prints(out.resolve() / "report.html", here, range(1, 8), ["Each axis moved alone", "f/2.8"], ["Optima"])
+        assert_fits(out / "report.html", here)
+        assert_prints(out / "report.html", here, range(1, 8), ["Each axis moved alone", "f/2.8"], ["Optima"])
 
 
 # --- verdicts ---------------------------------------------------------------------------------------------------------
@@ -328,21 +317,24 @@ def test_paper_table_of_synthetic_result() -> None:
 
 
 @pytest.fixture(scope="module")
-def shipped() -> pixsim.Study:
-    return with_range_ends(load_study("chen2000-sensitivity"))
+def shipped() -> list[Case[pixsim.Study]]:
+    """The base and its cases."""
+    return list(cases_of(with_range_ends(load_study("chen2000-sensitivity"))))
 
 
-def test_packaged_cases_are_valid_and_distinct(shipped: pixsim.Study) -> None:
-    """All 89 settings of the table in docs/paper.md, each for all four technologies."""
-    base, *moved = cases_of(shipped)
+def test_packaged_cases_are_valid_and_distinct(shipped: list[Case[pixsim.Study]]) -> None:
+    """All 89 settings of the table in docs/paper.md, each for all four technologies; the base is chen2000, as its verdicts."""
+    base, *moved = shipped
     assert len(moved) == 89
     for case in moved:
         check_pitches(case.settings)
-        assert case.settings.model_dump() != base.settings.model_dump(), f"{case.words} is the base"
         assert (case.settings.seed, case.settings.stream_name) == (2000, "chen2000"), "its random streams are others"
         assert case.settings.technologies == ("0.5um", "0.35um", "0.25um", "0.18um")
     assert len({case.folder for case in moved}) == len(moved), "labels read alike"
-    assert len({case.settings.content_hash for case in moved}) == len(moved), "two cases are the same"
+    assert len({case.settings.content_hash for case in shipped}) == len(shipped), "two cases are the same"
+    own, chen2000 = (study.model_dump(exclude={"quick"}) for study in (base.settings, load_study("chen2000")))
+    assert own | {"name": "chen2000", "streams": None, "title": chen2000["title"]} == chen2000
+    assert load_study("chen2000-sensitivity").quickened.technologies == ("0.35um",)
 
 
 # Assumptions that the paper does not state, with their plausible range; None: any value other than the base's.
@@ -354,31 +346,19 @@ ASSUMED = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ASSUMED)
-def test_packaged_cases_cover_assumptions(name: str, shipped: pixsim.Study) -> None:
-    def value(study: pixsim.Study) -> object:
-        here: object = study.model_dump(mode="json")
-        for part in name.split("."):
-            here = here.get(part)
-        return here
-
-    values = {value(case.settings) for case in cases_of(shipped)}
-    assert len(values) > 1
-    if ASSUMED[name]:
+def test_packaged_cases_cover_assumptions(shipped: list[Case[pixsim.Study]]) -> None:
+    tables = [case.settings.model_dump(mode="json") for case in shipped]
+    for name, span in ASSUMED.items():
+        values = {functools.reduce(dict.__getitem__, name.split("."), table) for table in tables}
+        assert len(values) > 1, name
         given = values - {None}  # None: the technology's own
-        assert (min(given), max(given)) == ASSUMED[name]
+        assert span is None or (min(given), max(given)) == span, name
 
 
-def test_packaged_base_is_chen2000(shipped: pixsim.Study) -> None:
-    """The settings that change a verdict stand next to the verdicts of chen2000, which must be those of the base."""
-    own, base = (study.model_dump(exclude={"quick"}) for study in (cases_of(shipped)[0].settings, load_study("chen2000")))
-    assert own | {"name": "chen2000", "streams": None, "title": base["title"]} == base
-
-
-def test_packaged_ranges_cover_every_process(shipped: pixsim.Study) -> None:
+def test_packaged_ranges_cover_every_process() -> None:
     moves = [
         (number, value, technology, point.label)
-        for axis in shipped.axis
+        for axis in with_range_ends(load_study("chen2000-sensitivity")).axis
         for point in axis.points
         for technology, numbers in point.table.get("process", {}).items()
         for number, value in numbers.items()
@@ -391,10 +371,6 @@ def test_packaged_ranges_cover_every_process(shipped: pixsim.Study) -> None:
     for number, value, technology, label in moves:
         assert value in load_technology(technology).ranges[number]
         assert label in ("all low", "all high", f"{technology} {value:g}")
-
-
-def test_packaged_quick_table_has_one_technology() -> None:
-    assert load_study("chen2000-sensitivity").quickened.technologies == ("0.35um",)
 
 
 def test_packaged_modern_study_has_pinned_photodiodes() -> None:

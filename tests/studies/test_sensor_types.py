@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 from helpers.browser import assert_fits, assert_prints, needs_browser
 from helpers.commands import assert_refused, command
-from helpers.tiny import COARSE, TINY, toml_of
+from helpers.tiny import COARSE, TINY, rows, toml_of
 
 import pixsim
 from pixsim.base.errors import PixsimError
@@ -25,13 +24,10 @@ from pixsim.studies.study_settings import Study
 from pixsim.studies.uncertainty import settings_of, unknowns_of_study
 from pixsim.viewer.merging import merge
 
-SMALL = {name: value for name, value in TINY.items() if name not in ("scene", "pitch", "resolution")}
-SMALL |= {
-    "scene": {"file": "csf", "parameters": {"luminance_cd_per_m2": 100.0}},
-    "resolution": COARSE,
-    "technologies": ["0.35um", "0.25um"],
-}
-SMALL |= {"pitch": {"min_fill_factor": 0.05, "count": 5, "max_um": 15.0}, "camera": {"die_mm": 0.5}, "display": {"dots": 32}}
+SMALL = TINY | {
+    "technologies": ["0.35um", "0.25um"], "camera": {"die_mm": 0.5}, "display": {"dots": 32},
+    "pitch": {"min_fill_factor": 0.05, "count": 5, "max_um": 15.0},
+}  # fmt: skip
 DRAWS = 8
 
 
@@ -45,57 +41,53 @@ def written(**over: Any) -> str:
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, list[Any], Path]:
+    """By two metrics: the types of both technologies by ΔE, and those by information."""
     folder = tmp_path_factory.mktemp("types")
-    result = pixsim.study(small(), folder, jobs=1, uncertainty=DRAWS, smaller_than_um=(1.0, 20.0))
+    asked = small(metrics=["delta_e", "information"])
+    result = pixsim.study(asked, folder, jobs=1, uncertainty=DRAWS, smaller_than_um=(1.0, 20.0))
     return result, list(result.uncertainty), folder
 
 
-def assert_rows_are_those_of_a_study(result: Any, file: Path, column: str, folder: Path) -> None:
-    """The rows of a draw are those of a study in which the technologies have its numbers, with the same random streams."""
+@pytest.mark.parametrize(
+    ("file", "column", "metrics"),
+    [(TYPES_FILE, "mean_delta_e", ["delta_e"]), ("types_information.csv", "information", ["delta_e", "information"])],
+)
+def test_draw_types_rows_are_those_of_a_study_with_its_numbers(
+    file: str, column: str, metrics: list[str], done: tuple[Any, list[Any], Path], tmp_path: Path
+) -> None:
+    """With the same random streams, and around the optimum of the metric; ΔE has the rows that it has alone."""
+    result, _, folder = done
     sample = Asked(DRAWS).sample(result.study)
     unknowns = [unknown for members in sample.inputs.values() for unknown in members]
-    with file.open(newline="", encoding="utf-8") as text:
-        rows = [row for row in csv.DictReader(text) if (row["draw"], row["technology"]) == ("3", "0.25um")]
-    pitches = sorted({float(row["pitch_um"]) for row in rows})
-    assert len(rows) <= MOST_EVALUATIONS
-    own = {"pitch": {"values_um": [*pitches, 15.0]}, "technologies": ["0.25um"], "resolution": result.study.resolution}
-    own |= {"metrics": list(result.study.metrics)}
+    drawn = [row for row in rows(folder / file) if (row["draw"], row["technology"]) == ("3", "0.25um")]
+    pitches = sorted({float(row["pitch_um"]) for row in drawn})
+    assert 5 <= len(drawn) <= MOST_EVALUATIONS
+    own = {"pitch": {"values_um": [*pitches, 15.0]}, "technologies": ["0.25um"], "metrics": metrics}
     settings = settings_of(result.study, unknowns, sample.draws[3])
     table = merge(merge(SMALL, settings), own) | {"process": {"0.25um": settings["process"]["0.25um"]}}
-    curve = pixsim.study(Study.model_validate(table), folder, jobs=1).curves[0]
+    curve = pixsim.study(Study.model_validate(table), tmp_path, jobs=1).curves[0]
     expected = dict(zip(curve.pitch_um.tolist(), curve.statistics[column].tolist(), strict=True))
-    for row in rows:
+    for row in drawn:
         assert float(row[column]) == pytest.approx(expected[float(row["pitch_um"])][int(row["repeat"])], rel=1e-9)
 
 
-def test_draw_types_rows_are_those_of_a_study_with_its_numbers(done: tuple[Any, list[Any], Path], tmp_path: Path) -> None:
-    result, found, folder = done
-    assert_rows_are_those_of_a_study(result, folder / TYPES_FILE, "mean_delta_e", tmp_path)
-    assert [each.label for each in found] == ["0.35um", "0.25um"]
-
-
-def test_draw_types_by_each_metric(done: tuple[Any, list[Any], Path], tmp_path: Path) -> None:
-    """Around its own optimum, in its own direction; ΔE has the types that it has alone."""
-    folder = tmp_path / "both"
-    asked = small(metrics=["delta_e", "information"])
-    result = pixsim.study(asked, folder, jobs=1, uncertainty=DRAWS, smaller_than_um=(1.0, 20.0))
-    others, of_information = result.uncertainty[:2], result.uncertainty[2:]
-    assert [each.as_dict() for each in others] == [each.as_dict() for each in done[1]]
-    assert_rows_are_those_of_a_study(result, folder / "types_information.csv", "information", tmp_path / "alone")
-    first, second = of_information
-    assert first.as_dict()["metric"] == "information"
+def test_draw_types_by_each_metric(done: tuple[Any, list[Any], Path]) -> None:
+    """Around its own optimum, in its own direction."""
+    found = done[1]
+    first, second = of_information = found[2:]
+    assert [each.label for each in found] == ["0.35um", "0.25um"] * 2
+    assert [each.as_dict().get("metric") for each in found] == [None, None, "information", "information"]
+    assert [len(each.outcomes) for each in found] == [DRAWS] * 4
     better = np.mean(first.values("information") > second.values("information"))
     assert first.verdicts["0.35um is better than 0.25um"].probability == better
     assert "The optimum shrinks with technology" not in first.verdicts, "the paper says it of ΔE"
-    blocks = uncertainty_blocks(of_information)
-    assert isinstance(blocks[0], Answer)
-    assert blocks[0].head.startswith("0.35um: optimum by information of 8 sensor types: median ")
-    assert ["information" in each.as_dict() for each in result.uncertainty] == [False, False, True, True]
+    block = uncertainty_blocks(of_information)[0]
+    assert isinstance(block, Answer)
+    assert block.head.startswith("0.35um: optimum by information of 8 sensor types: median ")
 
 
 def test_draw_types_verdicts_are_complementary(done: tuple[Any, list[Any], Path]) -> None:
-    _, (first, second), _ = done
-    assert len(first.outcomes) == len(second.outcomes) == DRAWS
+    first, second = done[1][:2]
     better = first.verdicts["0.35um is better than 0.25um"].probability, second.verdicts["0.25um is better than 0.35um"].probability
     assert sum(better) == 1.0
     assert first.verdicts["the optimum is smaller than 1 µm"].probability == 0.0
@@ -133,7 +125,23 @@ def test_check_axes_more_than_one_small_axis_raises() -> None:
             check_axes(small(axis=axes))
 
 
+# A sensor that is described by its numbers, and one of them that is known within a range.
 SHEET = {"pitch_um": 5.0, "full_well_e": 1e4, "read_noise_e": 20.0, "dark_current_e_per_s": 1.0, "quantum_efficiency": 0.6}
+NOISE = {"uncertainty": {"read_noise_e": {"sd": 5.0}}}
+
+
+def sheet(path: Path, **more: Any) -> Path:
+    path.write_text(f"pixel = {toml_of(SHEET | more)}\n", encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder with a study of one technology on few dots, so that 24 types take a second, and such a sheet."""
+    monkeypatch.chdir(tmp_path)
+    few = {"technologies": ["4t-bsi"], "camera": {"die_mm": 0.2}, "display": {"dots": 16}}
+    (tmp_path / "s.toml").write_text(written(**few), encoding="utf-8")
+    return sheet(tmp_path / "sheet.toml", **NOISE).parent
 
 
 def test_dry_run_counts_the_time_of_sensor_types(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -150,11 +158,7 @@ def test_dry_run_counts_the_time_of_sensor_types(tmp_path: Path, monkeypatch: py
 
 
 @pytest.mark.slow  # the draws are those above; test_uncertainty has the numbers of sheets
-def test_study_command_uncertainty_of_a_data_sheet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("s.toml").write_text(written(technologies=["4t-bsi"]), encoding="utf-8")
-    sheet = SHEET | {"uncertainty": {"read_noise_e": {"sd": 5.0}}}
-    Path("sheet.toml").write_text(f"pixel = {toml_of(sheet)}\n", encoding="utf-8")
+def test_study_command_uncertainty_of_a_data_sheet(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     code, out, err = command("study s.toml --config sheet.toml --uncertainty 8 --smaller-than 6 --jobs 1 --out out --json")
     assert code == 0, err
     assert "8 sensor types, at most 192 evaluations" in err
@@ -165,21 +169,17 @@ def test_study_command_uncertainty_of_a_data_sheet(tmp_path: Path, monkeypatch: 
     assert "The study itself" in Path("out/uncertainty.html").read_text(encoding="utf-8")
     assert Path("out/sensor_types_1.csv").read_text(encoding="utf-8").startswith("draw,read_noise_e,optimum_um,")
     # The command in settings.toml draws the same types, without the sheet.
-    line = Path("out/settings.toml").read_text(encoding="utf-8").splitlines()[1]
+    monkeypatch.chdir("out")
+    line = Path("settings.toml").read_text(encoding="utf-8").splitlines()[1]
     assert line == "# pixsim study settings.toml --uncertainty 8 --smaller-than 6.0"
-    draws = []
-    for name, config in (("s.toml", ["sheet.toml"]), ("out/settings.toml", [])):
-        draws.append(Asked(8, uncertainty=uncertainty_of(name, config)).sample(load_study(name, config)).draws)
-    assert draws[0] == draws[1]
+    code, _, err = command(f"{line.removeprefix('# pixsim ')} --jobs 1 --out again")
+    assert code == 0, err
+    for name in ("uncertainty.json", "settings.toml", "sensor_types_1.csv"):
+        assert Path("again", name).read_bytes() == Path(name).read_bytes()
 
 
-def test_sobol_in_python_has_the_indices_of_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sobol_in_python_has_the_indices_of_the_command(desk: Path) -> None:
     """The command takes the rows of the study in Python, and finds nothing else to evaluate in them."""
-    monkeypatch.chdir(tmp_path)
-    few = {"camera": {"die_mm": 0.2}, "display": {"dots": 16}}  # so that 24 types take a second
-    Path("s.toml").write_text(written(technologies=["4t-bsi"], **few), encoding="utf-8")
-    sheet = SHEET | {"uncertainty": {"read_noise_e": {"sd": 5.0}}}
-    Path("sheet.toml").write_text(f"pixel = {toml_of(sheet)}\n", encoding="utf-8")
     (found,) = pixsim.study("s.toml", "out", config="sheet.toml", jobs=1, sobol=8, smaller_than_um=[6.0]).uncertainty
     assert len(found.outcomes) == 8 * (1 + 2)
     before = Path("out", TYPES_FILE).read_bytes()
@@ -192,10 +192,6 @@ def test_sobol_in_python_has_the_indices_of_the_command(tmp_path: Path, monkeypa
     assert "first_order" not in written_one
     with pytest.raises(PixsimError, match=r"uncertainty: got with sobol; allowed: one of the two"):
         pixsim.study("s.toml", "none", config="sheet.toml", sobol=8, uncertainty=8)
-    with pytest.raises(PixsimError, match=r"smaller_than_um: got without uncertainty"):
-        pixsim.study("s.toml", "none", config="sheet.toml", smaller_than_um=[6.0])
-    with pytest.raises(PixsimError, match=r"sobol: got 4; allowed: 8 to"):
-        pixsim.study("s.toml", "none", config="sheet.toml", sobol=4)
     assert not Path("none").exists()
 
 
@@ -204,33 +200,17 @@ def test_drawn_types_have_no_total_indices(done: tuple[Any, list[Any], Path]) ->
         _ = done[1][0].total_indices
 
 
-@pytest.mark.slow
-def test_study_settings_repeat_the_uncertainty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("s.toml").write_text(written(technologies=["4t-bsi"]), encoding="utf-8")
-    sheet = SHEET | {"uncertainty": {"read_noise_e": {"sd": 5.0}, "prnu": {"range": [0.0, 0.02]}}, "prnu": 0.01}
-    Path("sheet.toml").write_text(f"pixel = {toml_of(sheet)}\n", encoding="utf-8")
-    assert command("study s.toml --config sheet.toml --uncertainty 8 --smaller-than 6 --jobs 1 --out out")[0] == 0
-    monkeypatch.chdir("out")
-    line = Path("settings.toml").read_text(encoding="utf-8").splitlines()[1]
-    code, _, err = command(f"{line.removeprefix('# pixsim ')} --jobs 1 --out again")
-    assert code == 0, err
-    for name in ("uncertainty.json", "settings.toml", "sensor_types_1.csv"):
-        assert Path("again", name).read_bytes() == Path(name).read_bytes()
-
-
 def test_settings_keep_the_uncertainty_of_sheets_that_change(tmp_path: Path) -> None:
     """Of the study's own [pixel] and of data sheets among the technologies, whose files state something else by then."""
-    sheets = [tmp_path / "a.toml", tmp_path / "b.toml"]
-    for sheet, more in zip(sheets, ({"uncertainty": {"read_noise_e": {"range": [15.0, 25.0]}}}, {"bits": 8}), strict=True):
-        sheet.write_text(f"pixel = {toml_of(SHEET | more)}\n", encoding="utf-8")
+    of_noise = {"read_noise_e": {"range": [15.0, 25.0]}}
+    sheets = [sheet(tmp_path / "a.toml", uncertainty=of_noise), sheet(tmp_path / "b.toml", bits=8)]
     text = written(technologies=["a.toml", "b.toml", "4t-bsi"], pitch={"values_um": [4, 5, 6, 7, 8]}, resolution=COARSE)
     text += "pixel = { prnu = 0.01, uncertainty = { prnu = { sd = 0.001 } } }\n"
     (tmp_path / "s.toml").write_text(text, encoding="utf-8")
     result = pixsim.study(tmp_path / "s.toml", tmp_path / "out", jobs=1)
     (tmp_path / "settings.toml").write_text(result.settings_toml, encoding="utf-8")
-    for sheet in sheets:
-        sheet.write_text(f"pixel = {toml_of(SHEET | {'uncertainty': {'full_well_e': {'sd': 3.0}}})}\n", encoding="utf-8")
+    for path in sheets:
+        sheet(path, uncertainty={"full_well_e": {"sd": 3.0}})
     spreads = uncertainty_of(tmp_path / "settings.toml")
     own, of_sheet = {"prnu": Spread(sd=0.001)}, {"read_noise_e": Spread(range=(15.0, 25.0))}
     assert spreads == {"": own, str(sheets[0]): of_sheet, str(sheets[1]): {}}
@@ -241,8 +221,8 @@ def test_settings_keep_the_uncertainty_of_sheets_that_change(tmp_path: Path) -> 
 def test_sheets_have_separate_draws(tmp_path: Path) -> None:
     """Also of quantities with one draw in all technologies: each sensor was measured on its own."""
     for name, noise_e in (("a", 2.0), ("b", 3.0)):
-        more = {"dsnu": 0.2, "read_noise_e": noise_e, "uncertainty": {"dsnu": {"sd": 0.02}, "read_noise_e": {"sd": 0.2}}}
-        (tmp_path / f"{name}.toml").write_text(f"pixel = {toml_of(SHEET | more)}\n", encoding="utf-8")
+        spreads = {"dsnu": {"sd": 0.02}, "read_noise_e": {"sd": 0.2}}
+        sheet(tmp_path / f"{name}.toml", dsnu=0.2, read_noise_e=noise_e, uncertainty=spreads)
     (tmp_path / "s.toml").write_text(written(technologies=["a.toml", "b.toml", "0.35um", "0.25um"]), encoding="utf-8")
     study = load_study(tmp_path / "s.toml")
     sample = Asked(512).sample(study)
@@ -258,8 +238,8 @@ def test_sheets_have_separate_draws(tmp_path: Path) -> None:
 
 
 def test_settings_of_own_pixel_are_those_of_sheets_that_take_them_over(tmp_path: Path) -> None:
-    (tmp_path / "a.toml").write_text(f"pixel = {toml_of(SHEET)}\n", encoding="utf-8")
-    (tmp_path / "b.toml").write_text(f"pixel = {toml_of(SHEET | {'prnu': 0.02})}\n", encoding="utf-8")
+    sheet(tmp_path / "a.toml")
+    sheet(tmp_path / "b.toml", prnu=0.02)
     text = written(technologies=["a.toml", "b.toml"]) + "pixel = { prnu = 0.01, uncertainty = { prnu = { sd = 0.001 } } }\n"
     (tmp_path / "s.toml").write_text(text, encoding="utf-8")
     study, spreads = load_study(tmp_path / "s.toml"), uncertainty_of(tmp_path / "s.toml")
@@ -268,11 +248,10 @@ def test_settings_of_own_pixel_are_those_of_sheets_that_take_them_over(tmp_path:
 
 
 def test_uncertainty_beside_an_option_out_of_its_range_raises(tmp_path: Path) -> None:
-    sheet = SHEET | {"uncertainty": {"read_noise_e": {"range": [15.0, 25.0]}}}
-    (tmp_path / "sheet.toml").write_text(f"pixel = {toml_of(sheet)}\n", encoding="utf-8")
-    spreads = uncertainty_of("pixel-size", [tmp_path / "sheet.toml"])
-    unknowns_of_study(load_study("pixel-size", tmp_path / "sheet.toml", pixel={"read_noise_e": 16.0}), spreads)
-    other = load_study("pixel-size", tmp_path / "sheet.toml", pixel={"read_noise_e": 3.0})
+    path = sheet(tmp_path / "sheet.toml", uncertainty={"read_noise_e": {"range": [15.0, 25.0]}})
+    spreads = uncertainty_of("pixel-size", [path])
+    unknowns_of_study(load_study("pixel-size", path, pixel={"read_noise_e": 16.0}), spreads)
+    other = load_study("pixel-size", path, pixel={"read_noise_e": 3.0})
     with pytest.raises(PixsimError, match=r"pixel.uncertainty.read_noise_e: got range = \[15, 25\]; allowed: a range that holds 3"):
         unknowns_of_study(other, spreads)
 
@@ -294,15 +273,12 @@ def test_uncertainty_page_fits_screens(tmp_path: Path, monkeypatch: pytest.Monke
         ("--uncertainty 8 --sobol 8", ["--uncertainty", "one of the two"]),
         ("--smaller-than 6", ["--smaller-than", "--uncertainty N"]),
         ("--uncertainty 0", ["uncertainty", "8 to 65536"]),
+        ("--sobol 4", ["sobol: got 4; allowed: 8 to"]),
         ("--uncertainty 8", ["unknowns", "[pixel.uncertainty]"]),
         ("--uncertainty 8 --axis camera.f_number=2,3,4,5,6,8", ["--uncertainty", "at most 5 values"]),
     ],
 )
-def test_study_command_uncertainty_invalid_is_refused(
-    line: str, texts: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("s.toml").write_text(written(technologies=["4t-bsi"]), encoding="utf-8")
-    Path("sheet.toml").write_text(f"pixel = {toml_of(SHEET)}\n", encoding="utf-8")
+def test_study_command_uncertainty_invalid_is_refused(line: str, texts: list[str], desk: Path) -> None:
+    sheet(desk / "sheet.toml")
     assert_refused(*command(f"study s.toml --config sheet.toml --jobs 1 --out out {line}"), texts)
     assert not Path("out").exists()

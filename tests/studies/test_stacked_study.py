@@ -21,7 +21,7 @@ from pixsim.report.maps import axis_plates
 from pixsim.studies.budget import ProbeDesign, pitch_range_um
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.pixels import photodiode_widths_um, physics_of
-from pixsim.studies.result import curve_table, delta_e_against_pitch
+from pixsim.studies.result import CasesResult, curve_table, delta_e_against_pitch
 from pixsim.studies.sampling import largest_pixel_um
 from pixsim.studies.study_file import load_study
 from pixsim.studies.study_settings import Study
@@ -32,36 +32,39 @@ LENS = {"height_um": 100.0, "index": 1.5, "microlens": "square", "shift": "optim
 PITCHES_UM = [6.0, 7.0, 9.0, 15.0, 20.0]
 
 
-def test_study_marks_sizes_where_the_model_is_doubtful(tmp_path: Path) -> None:
-    """Fresnel numbers n p²/(4 λ h): one warning, a column, and hollow points; none without microlenses."""
-    study = tiny(name="stacked", resolution=48, pitch={"values_um": PITCHES_UM}, pixel={"stack": LENS, "infrared_cut_nm": 650.0})
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        result = pixsim.study(study, tmp_path / "out", jobs=1)
-    about = [str(item.message) for item in caught if "Fresnel" in str(item.message)]
-    assert len(about) == 1
-    assert about[0].startswith("pixel.stack at 6 µm: the microlens has a Fresnel number of 0.2")
-    (curve,) = result.curves
+@pytest.fixture(scope="module")
+def bare_and_lensed(tmp_path_factory: pytest.TempPathFactory) -> tuple[CasesResult, list[str]]:
+    """A study of pixels without and with microlenses, and its warnings of the Fresnel number."""
+    axis = {"name": "aperture", "set": "pixel.stack.microlens", "values": ["none", "square"]}
+    pixel = {"stack": {key: value for key, value in LENS.items() if key != "microlens"}, "infrared_cut_nm": 650.0}
+    study = tiny(name="aperture", resolution=48, pitch={"values_um": PITCHES_UM}, pixel=pixel, axis=[axis])
+    with warnings.catch_warnings(record=True, action="always") as caught:
+        result = pixsim.study(study, tmp_path_factory.mktemp("aperture"), jobs=1)
+    assert isinstance(result, CasesResult)
+    return result, [str(item.message) for item in caught if "Fresnel" in str(item.message)]
+
+
+def test_study_marks_sizes_where_the_model_is_doubtful(bare_and_lensed: tuple[CasesResult, list[str]]) -> None:
+    """Fresnel numbers n p²/(4 λ h): one warning, a column, and hollow points."""
+    result, (said,) = bare_and_lensed
+    assert said.startswith("pixel.stack at 6 µm: the microlens has a Fresnel number of 0.2")
+    curve = result.curves[1]
     assert curve.fresnel_number is not None
     longest_nm = 1.5 * 36.0 / (4e-3 * 100.0 * curve.fresnel_number[0])
     assert 630.0 < longest_nm <= 655.0  # the last band below the infrared cut
     np.testing.assert_allclose(curve.fresnel_number / curve.fresnel_number[0], np.square(np.array(PITCHES_UM) / 6.0), rtol=1e-12)
     assert curve.doubtful.tolist() == [True, True, True, False, False]
     assert curve.as_dict()["fresnel_number"] == curve_table([curve])["fresnel_number"] == curve.fresnel_number.tolist()
-    plate = delta_e_against_pitch(result, [curve])
+    plate = delta_e_against_pitch(result.parts[1], [curve])
     assert "Hollow points" in plate.caption
     hollow = [line for line in plate.figure.axes[0].lines if line.get_markerfacecolor() == "white" and len(line.get_xdata()) == 3]
     assert len(hollow) == 1
     np.testing.assert_array_equal(hollow[0].get_xdata(), PITCHES_UM[:3])
 
 
-def test_study_of_bare_and_lensed_pixels_marks_the_lensed_ones(tmp_path: Path) -> None:
+def test_study_of_bare_and_lensed_pixels_marks_the_lensed_ones(bare_and_lensed: tuple[CasesResult, list[str]]) -> None:
     """In the table of optima, the tables and captions of maps, and the curve's numbers of summary.json; bare ones have none."""
-    axis = {"name": "aperture", "set": "pixel.stack.microlens", "values": ["none", "square"]}
-    pixel = {"stack": {key: value for key, value in LENS.items() if key != "microlens"}, "infrared_cut_nm": 650.0}
-    study = tiny(name="aperture", resolution=48, pitch={"values_um": PITCHES_UM}, pixel=pixel, axis=[axis])
-    with warnings.catch_warnings(action="ignore"):
-        result = pixsim.study(study, tmp_path / "out", jobs=1)
+    result, _ = bare_and_lensed
     bare, lensed = result.curves
     assert bare.fresnel_number is bare.doubtful_below_um is bare.fresnel_at(7.0) is None
     assert lensed.doubtful_below_um is not None
@@ -144,8 +147,7 @@ def test_ranges_of_sizes_end_at_the_widest_microlens() -> None:
     assert plain[1] == 15.0
 
 
-def test_study_refuses_a_wrong_stack_before_it_renders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pixsim.scene.renderer.render", lambda *_, **__: pytest.fail("rendered"))
+def test_study_refuses_a_wrong_stack_before_it_begins(tmp_path: Path) -> None:
     high = {"quantum_efficiency": 0.99, "quantum_efficiency_includes": "microlens"}
     for pixel, message in (
         ({"stack": LENS | {"height_um": 5.0}}, "under microlenses; allowed: at most 8.86"),

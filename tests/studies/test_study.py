@@ -2,20 +2,13 @@
 
 import html
 import json
-import shlex
-import signal
-import subprocess
-import sys
 import warnings
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from helpers.commands import command
-from helpers.processes import HANG_S, signalled
 from helpers.tiny import PITCHES_UM, WHOLE_CHART, keys, rows, tiny as tiny_study, tiny_toml
 
 import pixsim
@@ -32,11 +25,11 @@ from pixsim.studies.result import StudyResult
 from pixsim.studies.sampling import imaging_of
 from pixsim.studies.sentences import optimum_line
 from pixsim.studies.study_file import load_study
-from pixsim.viewer.merging import merge
-from pixsim.viewer.score import ImagingChain, SceneCache
+from pixsim.viewer.score import SceneCache
 
 OWN = {"repeats": 3, "seed": 1}
 TINY_TOML = tiny_toml(**OWN)
+SHEET = {"full_well_e": 1e4, "read_noise_e": 2, "dark_current_e_per_s": 1, "quantum_efficiency": 0.5, "data_sheet_pitch_um": 3}
 FIVE_UM = [*PITCHES_UM[:4], PITCHES_UM[5]]  # the frame that is scored follows from the largest
 
 
@@ -93,102 +86,43 @@ def test_study_command_writes_files_and_prints_optimum(by_command: Path, done: t
     assert message.rstrip().endswith("report.html")
 
 
-ONE_CORE = """
-import os
-os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-from pixsim.cli import main
-main()
-"""
-
-
-@pytest.mark.slow
-def test_study_two_workers_one_core_same_bytes(by_command: Path, tmp_path: Path) -> None:
-    line = f"study {by_command / 'tiny.toml'} --out {tmp_path} --jobs 2"
-    subprocess.run([sys.executable, "-c", ONE_CORE, *shlex.split(line)], check=True, timeout=HANG_S, capture_output=True)
-    recorded_times = {"provenance.json", "report.html"}
-    mine, theirs = (
-        {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-        for folder in (tmp_path, by_command / "out")
-    )
-    assert mine.keys() == theirs.keys()
-    assert {name for name in mine if mine[name] != theirs[name]} <= recorded_times
-
-
-def test_study_second_run_evaluates_nothing(
-    done: tuple[StudyResult, Path], evaluations: list[Frame], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    _, folder = done
-    before = (folder / "results.csv").read_bytes()
-    monkeypatch.setattr(SceneCache, "ideal", lambda *_: pytest.fail("an ideal image was computed"))
-    again = pixsim.study(tiny(), folder, jobs=1)
-    assert evaluations == []
-    assert (folder / "results.csv").read_bytes() == before
-    assert again.as_dict() == done[0].as_dict()
-
-
-@pytest.mark.parametrize("raster", ["fixed_size", pytest.param("one_to_one", marks=pytest.mark.slow)])
-def test_study_notes_reach_result_summary_page_and_json(raster: str, tmp_path: Path) -> None:
-    """Once each, whatever the workers do, and from a resumed study too."""
-    over: dict[str, Any] = {"display": {"white_cd_per_m2": 40.0, "raster": raster}, "pixel": {"bits": 8}}
+def test_study_notes_reach_result_summary_page_and_json(tmp_path: Path) -> None:
+    """Once each, and from a resumed study too."""
+    over: dict[str, Any] = {"display": {"white_cd_per_m2": 40.0}, "pixel": {"bits": 8}}
     toml = tmp_path / "tiny.toml"
     toml.write_text(tiny_toml(**over), encoding="utf-8")
-    jobs = 1 if raster == "fixed_size" else 2  # test_engine has the warnings of workers
-    code, message, err = command(f"study {toml} --out {tmp_path / 'out'} --jobs {jobs} --json")
+    code, message, err = command(f"study {toml} --out {tmp_path / 'out'} --jobs 1 --json")
     assert code == 0
     summary = json.loads(message)
-    bright = [note for note in summary["notes"] if "of the ideal image is brighter than display white" in note]
-    dark = [note for note in summary["notes"] if "the black level of 0 DN clips dark noise" in note]
-    others = [note for note in summary["notes"] if "the interval is open" in note or "not used" in note]
-    # Where dots are pixels the least error is at an end, and the number of dots is not used.
-    assert len(others) == (0 if raster == "fixed_size" else 2)
-    assert (len(bright), len(dark), len(summary["notes"])) == (1, 1, 2 + len(others))
+    bright, dark = summary["notes"]
+    assert "of the ideal image is brighter than display white" in bright
+    assert "the black level of 0 DN clips dark noise" in dark
     assert json.loads((tmp_path / "out/summary.json").read_text(encoding="utf-8"))["notes"] == summary["notes"]
     page = html.unescape((tmp_path / "out/report.html").read_text(encoding="utf-8"))
     assert all(note in page for note in summary["notes"])
-    assert all(f"warning: {note}" in err for note in bright)
-    with pytest.warns(UserWarning, match="brighter than display white"):
-        notes = pixsim.study(tiny_study(**over), tmp_path / "python", jobs=1).notes
+    assert f"warning: {bright}" in err
     # Each speaks to its caller.
-    assert notes == [note.replace("--display.white-cd-per-m2", "Display(white_cd_per_m2=…)") for note in summary["notes"]]
-    with pytest.warns(UserWarning, match="brighter than display white"):
-        assert pixsim.study(tiny_study(**over), tmp_path / "out", jobs=1).notes == notes
+    expected = [note.replace("--display.white-cd-per-m2", "Display(white_cd_per_m2=…)") for note in summary["notes"]]
+    for folder in ("python", "out"):
+        with pytest.warns(UserWarning, match="brighter than display white"):
+            assert pixsim.study(tiny_study(**over), tmp_path / folder, jobs=1).notes == expected
 
 
-# 4: within the last number, which still reads as one (lines end in \r\n); 60: in an earlier column; 2000: rows are gone.
-@pytest.mark.parametrize("cut_bytes", [4, 60, 2000])
+# 0: whole; 4: within the last number, which still reads as one (lines end in \r\n); 60: in an earlier column; 2000: rows are gone.
+@pytest.mark.parametrize("cut_bytes", [0, 4, 60, 2000])
 def test_study_truncated_file_is_completed(
-    cut_bytes: int, done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame]
+    cut_bytes: int, done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = (done[1] / "results.csv").read_bytes()
-    (tmp_path / "results.csv").write_bytes(whole[:-cut_bytes])
-    lost = 18 - (whole[:-cut_bytes].count(b"\n") - 1)
-    pixsim.study(tiny(), tmp_path, jobs=1)
+    kept = whole[: len(whole) - cut_bytes]
+    (tmp_path / "results.csv").write_bytes(kept)
+    if not cut_bytes:
+        monkeypatch.setattr(SceneCache, "ideal", lambda *_: pytest.fail("an ideal image was computed"))
+    again = pixsim.study(tiny(), tmp_path, jobs=1)
     assert (tmp_path / "results.csv").read_bytes() == whole
-    assert len(evaluations) == lost
+    assert len(evaluations) == 18 - (kept.count(b"\n") - 1)
+    assert again.as_dict() == done[0].as_dict()
     assert not list(tmp_path.glob(".*"))
-
-
-@pytest.mark.slow
-def test_study_other_content_has_other_keys(tmp_path: Path) -> None:
-    """Seed, display, exposure, sensor and scene are all in a row's key; the title and the iso level are not."""
-    few = {"repeats": 2, "pitch": {"values_um": FIVE_UM}, "camera": {"die_mm": 0.7}, "resolution": 96}
-    pixsim.study(tiny(**few), tmp_path / "own", jobs=1)
-    own = set(keys(tmp_path / "own"))
-    others = {
-        "seed": tiny(seed=2, **few),
-        "display": tiny(**merge(few, {"display": {"gamma": 1.8}})),
-        "exposure": tiny(**few, exposure={"well_target": 0.5}),
-        "pixel": tiny(**few, pixel={"prnu": 0.02}),
-        "camera": tiny(**merge(few, {"camera": {"f_number": 5.6}})),
-        "scene": tiny(**merge(few, {"scene": {"parameters": {"luminance_cd_per_m2": 99.0}}})),
-    }
-    everything = [own]
-    for name, study in others.items():
-        pixsim.study(study, tmp_path / name, jobs=1)
-        everything.append(set(keys(tmp_path / name)))
-    assert len(set.union(*everything)) == sum(map(len, everything)), "two contents share a key"
-    pixsim.study(tiny(**few, title="another", iso_delta_e=2.0), tmp_path / "words", jobs=1)
-    assert set(keys(tmp_path / "words")) == own
 
 
 NUMBERS = {
@@ -211,12 +145,11 @@ def test_study_process_numbers_equal_file(tmp_path: Path) -> None:
     by_file = pixsim.study(tiny(**few, technologies=(str(tmp_path / "own.toml"),)), tmp_path / "file", jobs=1)
     study = tiny(**few, process={"0.35um": NUMBERS})
     by_study = pixsim.study(study, tmp_path / "study", jobs=1)
+    # All but the key and the path of the technology.
+    mine, theirs = ([list(row.values())[2:] for row in rows(tmp_path / name)] for name in ("study", "file"))
+    assert mine == theirs
     one, other = by_file.curves[0], by_study.curves[0]
-    np.testing.assert_array_equal(one.pitch_um, other.pitch_um)
-    np.testing.assert_array_equal(one.fill_factor, other.fill_factor)
     assert one.feature_size_um == other.feature_size_um == 0.34
-    for name, values in one.statistics.items():
-        np.testing.assert_array_equal(values, other.statistics[name])
     pitch_um = float(one.pitch_um[2])
     mine, theirs = (r.scores(c.technology, pitch_um, 1)[0] for r, c in ((by_study, other), (by_file, one)))
     np.testing.assert_array_equal(mine.delta_e, theirs.delta_e)
@@ -229,21 +162,6 @@ def test_study_process_numbers_equal_file(tmp_path: Path) -> None:
     page = pixsim.write_report(by_study, tmp_path / "study").read_text(encoding="utf-8")
     assert "set by the study; the file has 0.3 (D: assumed" in page
     assert '<th scope="row">voltage_swing_v</th><td>0.9</td><td>0.9 to 1.5</td>' in page
-
-
-def test_study_process_numbers_keep_other_rows(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
-    """Neither keys nor random streams of 0.35 µm depend on what 0.25 µm has."""
-    study = tiny(technologies=("0.35um", "0.25um"), process={"0.25um": {"dsnu": 0.6}})
-    pixsim.study(study, tmp_path, jobs=1)
-    assert [row for row in rows(tmp_path) if row["technology"] == "0.35um"] == rows(done[1])
-    assert tiny(process={}).content_hash == tiny().content_hash
-
-
-def test_study_data_sheet_with_process_raises() -> None:
-    sheet = {"full_well_e": 1e4, "read_noise_e": 2, "dark_current_e_per_s": 1, "quantum_efficiency": 0.5, "data_sheet_pitch_um": 3}
-    study = tiny(technologies=("none",), pixel=sheet, process={"none": {"dsnu": 0.1}})
-    with pytest.raises(pixsim.PixsimError, match=r"process\.none: got dsnu; .*Put them into \[pixel\]"):
-        pixsim.study(study, "out")
 
 
 def test_load_study_resolves_files_next_to_it(tmp_path: Path) -> None:
@@ -261,28 +179,18 @@ def test_load_study_resolves_files_next_to_it(tmp_path: Path) -> None:
 # --- Fields of the pixel as options ------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_study_pixel_options_equal_file(tmp_path: Path) -> None:
-    (tmp_path / "plain.toml").write_text(TINY_TOML + "pixel = { response = 'literal', bits = 8 }\n", encoding="utf-8")
-    (tmp_path / "scaled.toml").write_text(TINY_TOML + "pixel = { response = 'scaled', bits = 8, prnu = 0.01 }\n", encoding="utf-8")
-    message = "--pixel.response scaled --pixel.prnu 0.01"
-    for words, out in ((f"plain.toml {message}", "option"), ("scaled.toml", "file"), ("plain.toml", "plain")):
-        assert command(f"study {tmp_path}/{words} --out {tmp_path / out} --jobs 1")[0] == 0
-    pixsim.study(tmp_path / "plain.toml", tmp_path / "python", pixel={"response": "scaled", "prnu": 0.01}, jobs=1)
-    results = {name: (tmp_path / name / "results.csv").read_bytes() for name in ("option", "file", "plain", "python")}
-    assert results["option"] == results["file"] == results["python"]
-    assert results["plain"] != results["file"]
-    for name in ("summary.json", "figures/delta_e_against_pitch.svg"):
-        assert (tmp_path / "option" / name).read_bytes() == (tmp_path / "file" / name).read_bytes()
-
-
 def test_load_study_pixel_options_take_precedence(tmp_path: Path) -> None:
+    """And are as good as the same numbers in a file."""
     table = '[sources]\n"pixel.bits" = "assumed"\n"pixel.prnu" = "stated"\n[quick]\npixel = { bits = 9 }\n'
     text = f'name = "own"\n[pixel]\nbits = 8\n{table}'
     (tmp_path / "own.toml").write_text(text, encoding="utf-8")
     (tmp_path / "sensor.toml").write_text("[pixel]\nbits = 11\nprnu = 0.02\n", encoding="utf-8")
     study = load_study(tmp_path / "own.toml", tmp_path / "sensor.toml", pixel={"bits": "12"}).quickened
     assert (study.pixel.bits, study.pixel.prnu, study.sources) == (12, 0.02, {})
+    plain, scaled = tmp_path / "plain.toml", tmp_path / "scaled.toml"
+    plain.write_text(TINY_TOML + "pixel = { response = 'literal', bits = 8 }\n", encoding="utf-8")
+    scaled.write_text(TINY_TOML + "pixel = { response = 'scaled', bits = 8, prnu = 0.01 }\n", encoding="utf-8")
+    assert load_study(plain) != load_study(scaled) == load_study(plain, pixel={"response": "scaled", "prnu": "0.01"})
 
 
 def test_load_study_option_completes_data_sheet(tmp_path: Path) -> None:
@@ -335,37 +243,27 @@ def test_study_extension_computes_difference_only(done: tuple[StudyResult, Path]
 def test_study_cached_frames_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Overexposed, so that some pixels are saturated: their fraction is stored with the frame, since its DN do not show it."""
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
-    taken: list[int] = []
-    capture = ImagingChain.capture
-    monkeypatch.setattr(ImagingChain, "capture", lambda self, *key, **more: taken.append(1) or capture(self, *key, **more))
     study = tiny(repeats=2, pitch={"values_um": PITCHES_UM[1:]}, exposure={"integration_s": 1.0}, resolution=128, **WHOLE_CHART)
     results = tmp_path / "out/results.csv"
 
-    def evaluated() -> tuple[bytes, int]:
-        taken.clear()
+    def evaluated() -> bytes:
         results.unlink(missing_ok=True)
         pixsim.study(study, results.parent, jobs=1)
-        return results.read_bytes(), len(taken)
+        return results.read_bytes()
 
-    cold, captures = evaluated()
-    assert captures == 10
+    def frames() -> dict[str, dict[str, Any]]:
+        return {path.stem: cache.arrays("frames", path.stem) or {} for path in (tmp_path / "cache/frames").iterdir()}
+
+    cold = evaluated()
     assert all(0.5 < float(row["saturated_fraction"]) < 0.97 for row in rows(results.parent))
-    with monkeypatch.context() as patch:  # the light behind them is not computed again
+    with monkeypatch.context() as patch:  # neither frames nor the light behind them are computed again
         patch.setattr(rows_module, "chain_of", lambda *_: pytest.fail("light on the pixels"))
-        assert evaluated() == (cold, 0)
-    for path in (tmp_path / "cache/frames").iterdir():  # remove the fractions
-        kept = cache.arrays("frames", path.stem)
-        cache.store_arrays("frames", path.stem, {name: item for name, item in kept.items() if item.ndim == 2})
-    assert evaluated() == (cold, 10)
-
-
-def test_study_row_depends_on_its_pitch_only(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
-    """Some of the pitches, others among them, backwards, up to the same largest one: a shared pitch gives the same row."""
-    pixsim.study(tiny(pitch={"values_um": [PITCHES_UM[-1], 11.0, 9.9, 8.5, 7.7, 6.0]}), tmp_path, jobs=1)
-    shared = {"6.0", "8.5", "11.0", str(PITCHES_UM[-1])}
-    mine, theirs = ([row for row in rows(folder) if row["pitch_um"] in shared] for folder in (tmp_path, done[1]))
-    assert mine == theirs
-    assert len(mine) == 12
+        assert evaluated() == cold
+    whole = frames()
+    for name, kept in whole.items():
+        cache.store_arrays("frames", name, {part: item for part, item in kept.items() if item.ndim == 2})  # without fractions
+    assert evaluated() == cold
+    assert {name: set(kept) for name, kept in frames().items()} == {name: set(kept) for name, kept in whole.items()}
 
 
 def test_stream_depends_on_key_only() -> None:
@@ -384,12 +282,24 @@ def test_stream_depends_on_key_only() -> None:
         assert abs(np.corrcoef(first, stream(*key).normal(size=count))[0, 1]) < 5 / np.sqrt(count), key
 
 
-def test_study_quick_rows_are_study_rows(done: tuple[StudyResult, Path], tmp_path: Path) -> None:
-    """Quick rows are rows of the study itself: the table changes how much is done, not what."""
-    study = tiny(quick={"repeats": 2, "pitch": {"values_um": FIVE_UM}})
-    (curve,) = pixsim.study(study, tmp_path, quick=True, jobs=1).curves
-    np.testing.assert_array_equal(curve.delta_e, done[0].curves[0].delta_e[[0, 1, 2, 3, 5], :2])
-    assert set(keys(tmp_path)) < set(keys(done[1]))
+@pytest.mark.parametrize(
+    ("over", "quick", "count", "shared"),
+    [
+        # Some of the pitches, others among them, backwards, up to the same largest one.
+        ({"pitch": {"values_um": [PITCHES_UM[-1], 11.0, 9.9, 8.5, 7.7, 6.0]}}, False, 18, 4 * 3),
+        # Neither keys nor random streams of 0.35 µm depend on what 0.25 µm has.
+        ({"technologies": ("0.35um", "0.25um"), "process": {"0.25um": {"dsnu": 0.6}}}, False, 36, 6 * 3),
+        # The table changes how much is done, not what.
+        ({"quick": {"repeats": 2, "pitch": {"values_um": FIVE_UM}}}, True, 10, 5 * 2),
+    ],
+    ids=["other pitches", "another process", "quick"],
+)
+def test_study_row_depends_on_its_sensor_only(
+    over: dict[str, Any], quick: bool, count: int, shared: int, done: tuple[StudyResult, Path], tmp_path: Path
+) -> None:
+    pixsim.study(tiny(**over), tmp_path, quick=quick, jobs=1)
+    before, now = rows(done[1]), rows(tmp_path)
+    assert (len(now), sum(row in before for row in now)) == (count, shared)
 
 
 @pytest.mark.parametrize(
@@ -405,15 +315,19 @@ def test_study_quick_rows_are_study_rows(done: tuple[StudyResult, Path], tmp_pat
         ({"process": {"0.35um": {"voltage_swing_v": 9.0}}}, r"voltage_swing_v = 9 exceeds reset_voltage_v = 2\.2"),
         ({"process": {"0.35um": {"fill_factor_zero_pitch_features": 16.0}}}, r"pitch_um: got 5\.3; allowed: above 5\.6"),
         ({"process": {"0.35um": {"dsnu": float("nan")}}}, r"(?s)process.*dsnu.*finite"),
+        (
+            {"target_ci_um": 0.01, "max_evaluations": 17},
+            r"max_evaluations: got 17; allowed: at least 18, .*Raise it, or lower repeats",
+        ),
+        (
+            {"technologies": ("none",), "pixel": SHEET, "process": {"none": {"dsnu": 0.1}}},
+            r"process\.none: got dsnu; .*Put them into \[pixel\]",
+        ),
     ],
 )
-def test_study_invalid_input_raises_before_render(
-    over: dict[str, object], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("pixsim.scene.renderer.render", lambda *_, **__: pytest.fail("rendered"))
+def test_study_invalid_input_raises_before_render(over: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        pixsim.study(tiny(**over), tmp_path / "out", jobs=1)
-    assert not (tmp_path / "out").exists()
+        prepare(tiny(**over))
 
 
 def test_study_minimum_at_end_is_no_optimum(tmp_path: Path) -> None:
@@ -422,47 +336,6 @@ def test_study_minimum_at_end_is_no_optimum(tmp_path: Path) -> None:
         study = tiny(repeats=2, scene={"parameters": {"luminance_cd_per_m2": luminance}}, pitch={"values_um": values})
         best = pixsim.study(study, tmp_path / str(end_um), jobs=1).curves[0].optimum
         assert (best.inside, best.pitch_um) == (False, pytest.approx(end_um))
-
-
-@pytest.mark.slow  # test_engine kills a study, test_interruptions interrupts one
-def test_study_interrupt_keeps_finished_rows(done: tuple[StudyResult, Path], tmp_path: Path, evaluations: list[Frame]) -> None:
-    """Interrupted in the second of three sensors of the second pitch."""
-    toml, out = tmp_path / "tiny.toml", tmp_path / "out"
-    toml.write_text(TINY_TOML, encoding="utf-8")
-    words = [sys.executable, "-c", signalled(signal.SIGINT, 5), "study", toml, "--out", out, "--jobs", "1"]
-    ended = subprocess.run(words, capture_output=True, text=True, timeout=HANG_S, check=False)
-    assert (ended.returncode, ended.stdout) == (130, ""), ended.stderr
-    assert "Traceback" not in ended.stderr
-    kept = f"3 finished evaluations are kept in '{out}', and the same command continues from them"
-    assert ended.stderr.splitlines()[-1] == f"pixsim: interrupted; {kept}"
-    assert [path.name for path in out.rglob("*")] == ["results.csv"]
-    assert len(rows(out)) == 3, "a pitch is written when all of its sensors are done"
-    pixsim.study(toml, out, jobs=1)
-    assert len(evaluations) == 18 - 3
-    assert (out / "results.csv").read_bytes() == (done[1] / "results.csv").read_bytes()
-
-
-@pytest.mark.slow
-def test_study_interrupt_counts_rows_of_its_settings_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ctrl-C before and after the first row of a study, in the folder of a study with another seed."""
-    toml, out = tmp_path / "tiny.toml", tmp_path / "out"
-    toml.write_text(TINY_TOML, encoding="utf-8")
-    pixsim.study(toml, out, jobs=1, seed=2)
-    line, render = f"study {toml} --out {out} --jobs 1", Mock(side_effect=KeyboardInterrupt)
-    with monkeypatch.context() as patch:
-        patch.setattr("pixsim.studies.lights.render_for", render)
-        assert command(line) == (130, "", "pixsim: interrupted\n")
-    results_of = rows_module.results_of
-    monkeypatch.setattr(rows_module, "results_of", lambda *arguments: interrupted(results_of(*arguments)))
-    kept = f"3 finished evaluations are kept in '{out}', and the same command continues from them"
-    assert command(line)[2].splitlines()[-1] == f"pixsim: interrupted; {kept}"
-    assert len(rows(out)) == 3
-
-
-def interrupted(results: Iterator[Any]) -> Iterator[Any]:
-    """The first result, then Ctrl-C."""
-    yield next(results)
-    raise KeyboardInterrupt
 
 
 def test_quick_says_what_it_found() -> None:
