@@ -13,6 +13,7 @@ import pytest
 from helpers.commands import assert_refused, command
 from helpers.looks import text_of
 from helpers.runs import run_result
+from helpers.sheets import two_sheets
 
 import pixsim
 from pixsim.base.errors import PixsimError
@@ -247,6 +248,7 @@ def test_run_of_no_or_too_many_frames_raises(frames, more, tmp_path, monkeypatch
         ("study pixel-size --quick --pitch.count 5", "results.csv"),
         ("study pixel-size --quick --axis pixel.prnu=0.01,0.02", "figures/optimum_by_pixel.prnu.csv"),
         ("accuracy csf --quick", "ladders.csv"),
+        ("compare '{here}/quiet.toml' '{here}/noisy one.toml'", "pictures/image_quiet.png"),
         ("datasheet 0.35um", "figures/snr.svg"),
         ("sfr {exr}/../raw.exr", "summary.json"),
     ],
@@ -260,8 +262,9 @@ def test_command_other_file_of_the_same_name_raises(rendered, line, name, tmp_pa
         edge = np.full((128, 128), 100, np.uint16) + 500 * (np.arange(128) + np.arange(128)[:, None] / 12 > 70)
         np.save(tmp_path / "edge.npy", edge.astype(np.uint16))
         line = f"sfr {tmp_path / 'edge.npy'}"
+    two_sheets(tmp_path)
     before = sorted(tmp_path.rglob("*"))
-    line = line.format(exr=rendered[0] / "irradiance.exr")
+    line = line.format(exr=rendered[0] / "irradiance.exr", here=tmp_path)
     assert_refused(*command(f"{line} --out {tmp_path}"), [path.name, "not written by pixsim", "--out"])
     assert path.read_text() == "my own"
     assert sorted(tmp_path.rglob("*")) == before
