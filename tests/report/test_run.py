@@ -400,12 +400,10 @@ def test_run_page_foreign_picture_and_data_sheet(tmp_path: Path) -> None:
     assert "Each dot of the whole pictures is the mean of 4 × 4 dots of the display." in page
 
 
-def test_run_page_enlarges_small_picture(tmp_path: Path) -> None:
-    line = f"run csf --variant scalar_spectral --resolution 48 --display.dots 40 --pixel.pitch-um 42.4 --out {tmp_path}"
-    assert command(line)[0] == 0
-    page = text_of(tmp_path)
-    assert "--dots: 228px" in page  # 38 of 40 dots are shown
-    assert "(each dot enlarged 6 ×)" in page
+def test_run_page_enlarges_small_picture(rendered):
+    page = text_of(rendered[0])
+    assert "--dots: 248px" in page  # 62 of 64 dots are shown
+    assert "(each dot enlarged 4 ×)" in page
 
 
 @pytest.mark.parametrize(("shape", "small"), [((2, 4096), (1, 1024)), ((4096, 1), (1024, 1)), ((2, 3000), (1, 1000))])

@@ -19,22 +19,8 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.records import checked
 from pixsim.report.pictures import crops
 from pixsim.report.views import best_place, rank, study_views
-from pixsim.show.pictures import (
-    COLUMNS,
-    DETAIL_DOTS,
-    SHEET_GAP as GAP,
-    SHEET_MARGIN as MARGIN,
-    TITLE,
-    Picture,
-    Window,
-    contact_sheet_png,
-    delta_e_colours,
-    display_codes,
-    scale,
-    window_at,
-    windows,
-    worst_window,
-)
+from pixsim.show import pictures
+from pixsim.show.pictures import DETAIL_DOTS, Picture, Window, delta_e_colours, display_codes, window_at, windows, worst_window
 from pixsim.studies.result import StudyResult
 from pixsim.viewer.merging import merge
 
@@ -168,8 +154,8 @@ def test_study_views_match_scores(raster: str, tmp_path: Path) -> None:
     finest = max((score.ideal for score in scores), key=lambda item: item.size)
     window = window_at((0.9, 0.9), finest.shape)
     assert views.place == window.centre
-    pictures = [finest, *(score.image for score in scores)]
-    for tile, picture in zip(views.tiles, pictures, strict=True):
+    shown = [finest, *(score.image for score in scores)]
+    for tile, picture in zip(views.tiles, shown, strict=True):
         np.testing.assert_array_equal(decoded(tile.png), display_codes(window.of(picture)))
     for tile, pitch_um, delta_e in zip(views.tiles[1:], curve.pitch_um, curve.delta_e, strict=True):
         assert tile.name == f"{pitch_um:.2f} µm"
@@ -212,7 +198,7 @@ def test_crops_show_the_same_part(tiny_result: StudyResult) -> None:
 
 @pytest.mark.parametrize("end", [1.0, 10.0])
 def test_scale_matches_map_colours(end: float) -> None:
-    bar = decoded(scale(end).png)
+    bar = decoded(pictures.scale(end).png)
     expected = delta_e_colours((np.arange(bar.shape[1]) / bar.shape[1] * end)[None], end)[0]
     np.testing.assert_array_equal(bar[0], expected)
 
@@ -222,22 +208,25 @@ def test_scale_matches_map_colours(end: float) -> None:
 
 def test_contact_sheet_png_holds_tiles() -> None:
     rng = np.random.default_rng(1)
-    tiles = [Picture(rng.integers(0, 255, (112, 112)).astype(np.uint8), f"{n} µm", "mean ΔE 1", n == 3) for n in range(COLUMNS + 2)]
-    sheet = decoded(contact_sheet_png("a title", tiles))
+    tiles = [
+        Picture(rng.integers(0, 255, (112, 112)).astype(np.uint8), f"{n} µm", "mean ΔE 1", n == 3)
+        for n in range(pictures.COLUMNS + 2)
+    ]
+    sheet = decoded(pictures.contact_sheet_png("a title", tiles))
     for number, tile in enumerate(tiles):
-        x = MARGIN + number % COLUMNS * (112 + GAP)
-        y = MARGIN + TITLE + number // COLUMNS * (112 + 2 * 19 + GAP)
+        x = pictures.SHEET_MARGIN + number % pictures.COLUMNS * (112 + pictures.SHEET_GAP)
+        y = pictures.SHEET_MARGIN + pictures.TITLE + number // pictures.COLUMNS * (112 + 2 * 19 + pictures.SHEET_GAP)
         np.testing.assert_array_equal(sheet[y : y + 112, x : x + 112], tile.codes)
         framed = (sheet[y : y + 112, x - 2] == 0).all()
         assert framed == tile.best
-    assert contact_sheet_png("a title", tiles) == contact_sheet_png("a title", tiles)
+    assert pictures.contact_sheet_png("a title", tiles) == pictures.contact_sheet_png("a title", tiles)
 
 
 @pytest.mark.parametrize("title", ["two\nlines\tand \x1b[31m", "n" * 5000, "\u202e", ""])
 def test_contact_sheet_png_long_title_is_bounded(title: str) -> None:
     tiles = [Picture(np.zeros((112, 112), np.uint8), "2 µm", "mean ΔE 1")] * 2
-    sheet = decoded(contact_sheet_png(title, tiles))
-    assert sheet.shape[0] == decoded(contact_sheet_png("plain", tiles)).shape[0]
+    sheet = decoded(pictures.contact_sheet_png(title, tiles))
+    assert sheet.shape[0] == decoded(pictures.contact_sheet_png("plain", tiles)).shape[0]
     assert sheet.shape[1] < 2500
 
 
