@@ -17,6 +17,7 @@ from helpers.tiny import tiny
 
 import pixsim
 from pixsim.report import maps
+from pixsim.report.axes import alone_words
 from pixsim.show.figures import new_figure, own_style
 from pixsim.show.pages import Plate
 from pixsim.studies.axis import Axis
@@ -523,8 +524,13 @@ def moved_um(at: dict[str, Any], condition: str, technology: str) -> float:
 
 
 @pytest.fixture(scope="module")
-def tornado() -> Plate:
-    plate = maps.alone_plate(result_of(moved_um, axis=[*ALONE, LENS | {"values": [4.0]}], condition=DAY_AND_NIGHT))
+def moved() -> StudyResult:
+    return result_of(moved_um, axis=[*ALONE, LENS | {"values": [4.0]}], condition=DAY_AND_NIGHT)
+
+
+@pytest.fixture(scope="module")
+def tornado(moved: StudyResult) -> Plate:
+    plate = maps.alone_plate(moved)
     assert plate is not None
     return plate
 
@@ -549,6 +555,15 @@ def test_alone_plate_bars_span_the_moves(tornado: Plate) -> None:
         assert {text.get_text() for text in tornado.figure.axes[panel].texts} == {"1", "20", "0.005", "0.03"}, (
             "the ends of the bars"
         )
+
+
+def test_words_of_axes_moved_alone_are_widest_first(moved: StudyResult) -> None:
+    form = r"(\w+), (read noise|prnu) alone: (\S+) to (\S+) µm, least mean ΔE 1\.000 to 1\.000"
+    found = [match.groups() for match in map(re.compile(form).fullmatch, alone_words(moved)) if match]
+    expected = [(condition, name) for condition in ("day", "night") for name in ("read noise", "prnu")]
+    assert [(condition, name) for condition, name, *_ in found] == expected
+    ends = [float(end) for *_, low, high in found for end in (low, high)]
+    assert ends == pytest.approx([4.5, 7.0, 4.95, 5.25, 5.85, 9.1, 6.435, 6.825], abs=0.02)
 
 
 def test_alone_plate_names_the_strongest(tornado: Plate) -> None:

@@ -26,7 +26,7 @@ from pixsim.report.run import colour_rows, shown_picture
 from pixsim.scene.film import PATH_SAMPLES
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.readout import frame_variance_dn2
-from pixsim.show.pictures import MAX_PICTURE_DOTS as MAX_DOTS, Picture, display_codes, factor_for, reduced
+from pixsim.show.pictures import MAX_PICTURE_DOTS as MAX_DOTS, Picture, display_codes, reduced
 from pixsim.studies.run import prepare
 from pixsim.studies.sentences import lens_words
 from pixsim.viewer.setting import Run
@@ -406,31 +406,23 @@ def test_run_page_enlarges_small_picture(rendered):
     assert "(each dot enlarged 4 ×)" in page
 
 
-@pytest.mark.parametrize(("shape", "small"), [((2, 4096), (1, 1024)), ((4096, 1), (1024, 1)), ((2, 3000), (1, 1000))])
-def test_reduced_thin_picture(shape: tuple[int, int], small: tuple[int, int]) -> None:
-    rng = np.random.default_rng(3)
-    whole = rng.random(shape)
-    shown = reduced(whole)
-    assert shown.shape == small
+@pytest.mark.parametrize(
+    ("shape", "small"),
+    [((1024, 1024), (1024, 1024)), ((1025, 8), (512, 4)), ((700, 3000), (233, 1000)),
+     ((2, 4096), (1, 1024)), ((4096, 1), (1024, 1)), ((2, 3000), (1, 1000))],  # thinner than a block
+)  # fmt: skip
+def test_large_picture_is_reduced_to_means_of_whole_blocks(shape: tuple[int, int], small: tuple[int, int]) -> None:
+    whole = np.random.default_rng(3).random(shape)
     down, across = (n // m for n, m in zip(shape, small, strict=True))
-    assert shown[-1, -1] == pytest.approx(whole[-down:, -across:].mean())
-
-
-@pytest.mark.parametrize(("shape", "factor"), [((1024, 1024), 1), ((1025, 8), 2), ((700, 3000), 3)])
-def test_shown_picture_large_is_reduced(shape: tuple[int, int], factor: int) -> None:
-    assert factor_for(np.zeros(shape)) == factor
-    rng = np.random.default_rng(2)
-    small = rng.random([n // factor for n in shape])
-    whole = np.zeros(shape)
-    inner = np.kron(small, np.ones((factor, factor)))
-    whole[: inner.shape[0], : inner.shape[1]] = inner
+    blocks = whole[: down * small[0], : across * small[1]].reshape(small[0], down, small[1], across)
+    np.testing.assert_allclose(reduced(whole), blocks.mean(axis=(1, 3)))
+    assert max(small) <= MAX_DOTS
     shown = shown_picture(b"the file's own bytes", whole, "a name")
-    if factor == 1:
+    assert (shown.height, shown.width) == small
+    if shape == small:
         assert shown.png == b"the file's own bytes"
     else:
-        assert shown == Picture(display_codes(small), "a name")
-    assert (shown.height, shown.width) == small.shape
-    assert max(small.shape) <= MAX_DOTS
+        assert shown == Picture(display_codes(reduced(whole)), "a name")
 
 
 def test_colour_rows_are_those_of_score_json() -> None:

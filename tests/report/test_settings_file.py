@@ -18,6 +18,7 @@ from helpers.tiny import COARSE, rows, tiny_toml
 
 import pixsim
 from pixsim.base.toml import packaged
+from pixsim.report.axes import alone_words
 from pixsim.scene.charts import siemens_star, write_chart
 from pixsim.scene.convergence import NO_TIME_LIMIT_S
 from pixsim.studies.result import StudyResult
@@ -172,6 +173,8 @@ def test_settings_of_study_with_base_and_range_repeat_it(desk: Path, tmp_path: P
     """Bases and ranges stand there as values, beside a condition."""
     axis = 'base = "tiny.toml"\naxis = [{ name = "dark", range_of = "dsnu", alone = true }]\n'
     result = study_of(desk, axis + DUSK, variant="scalar_spectral", parameters=None)
+    sizes, (words,) = [curve.optimum.pitch_um for curve in result.curves], alone_words(result)
+    assert words.startswith(f"dark alone: {min(sizes):.2f} to {max(sizes):.2f} µm")
     assert_repeats(result, tmp_path / "again", "scalar_spectral")
 
 
