@@ -215,7 +215,7 @@ def picture_of(path: Path, light: float = 0.01) -> Path:
 def files_of(folder: Path) -> dict[str, tuple[int, bytes]]:
     """Inode, which a file that is published has of its own, and content; the rows of a study are not published."""
     paths = [path for path in folder.rglob("*") if path.is_file()]
-    inodes = [0 if path.name == "results.csv" else path.stat().st_ino for path in paths]
+    inodes = [0 if path.name in ("results.csv", "types.csv") else path.stat().st_ino for path in paths]
     return {str(path.relative_to(folder)): (inode, path.read_bytes()) for path, inode in zip(paths, inodes, strict=True)}
 
 
