@@ -84,9 +84,19 @@ def test_read_with_camera_takes_die_from_file(rendered):
     assert camera.die_mm == pytest.approx(image.pitch_um * 64 / 1e3)
 
 
-def test_run_other_lens_warns(rendered, tmp_path):
-    _, err = scored(f"run {rendered[0] / 'irradiance.exr'} --camera.f-number 8 {OPTIONS} --json --out {tmp_path}")
-    assert err.startswith("warning: the irradiance was rendered with another camera")
+def test_run_notes_reach_score_page_and_json(rendered, tmp_path):
+    """What it was warned of is on stderr, too."""
+    line = f"run {rendered[0] / 'irradiance.exr'} --camera.f-number 8 {OPTIONS} --json --out {tmp_path}"
+    score, err = scored(line)
+    other, bright, dark = score["notes"]
+    assert other.startswith("the irradiance was rendered with another camera")
+    assert "of the ideal image is brighter than display white" in bright
+    assert err.startswith(f"warning: {other}")
+    assert [err.count(note) for note in (other, bright)] == [1, 1]
+    assert dark.startswith("the black level of 0 DN clips dark noise")
+    assert json.loads((tmp_path / "score.json").read_text(encoding="utf-8"))["notes"] == score["notes"]
+    page = html.unescape(text_of(tmp_path))
+    assert all(note[1:] in page for note in score["notes"])  # with a capital letter first
 
 
 # --- Pictures made elsewhere ---
@@ -268,20 +278,6 @@ def test_command_other_file_of_the_same_name_raises(rendered, line, name, tmp_pa
     assert_refused(*command(f"{line} --out {tmp_path}"), [path.name, "not written by pixsim", "--out"])
     assert path.read_text() == "my own"
     assert sorted(tmp_path.rglob("*")) == before
-
-
-def test_run_notes_reach_score_page_and_json(tmp_path):
-    line = f"run csf --variant scalar_spectral --resolution 64 -D spp=16 {OPTIONS} --max-seconds 1e-3 --render-noise 1e-5"
-    score, err = scored(f"{line} --json --out {tmp_path / 'out'}")
-    noisy, dark = score["notes"]
-    fraction = score["render_noise"]["fraction"]
-    assert noisy.startswith("the time limit of 0.001 s (--max-seconds) leaves no time for the next step of the render")
-    assert f"render noise is {fraction:.2g} of the sensor noise, target 1e-05" in noisy
-    assert dark.startswith("the black level of 0 DN clips dark noise")
-    assert err.count(noisy) == 1
-    assert json.loads((tmp_path / "out/score.json").read_text(encoding="utf-8"))["notes"] == score["notes"]
-    page = html.unescape(text_of(tmp_path / "out"))
-    assert all(note[1:] in page for note in score["notes"])  # with a capital letter first
 
 
 def test_run_irradiance_option_sets_contents(tmp_path):
