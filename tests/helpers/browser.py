@@ -11,7 +11,7 @@ import subprocess
 import time
 import unicodedata
 import urllib.request
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
@@ -111,30 +111,38 @@ def in_frames(script: str, sources: list[str], height: int, folder: Path, *argum
     return results
 
 
-def views_of(page: Path, folder: Path) -> list[SimpleNamespace]:
-    """The measurements of `FRAMES` of the page in each of `LOOKS`."""
-    text = html.escape(page.read_text(encoding="utf-8"))
-    sources = [f'width="{width}" style="border: 0; color-scheme: {scheme}" srcdoc="{text}"' for width, scheme in LOOKS]
+def views_of(pages: Sequence[Path], folder: Path) -> list[list[SimpleNamespace]]:
+    """The measurements of `FRAMES` of each page in each of `LOOKS`, in one start of the browser."""
+    texts = [html.escape(page.read_text(encoding="utf-8")) for page in pages]
+    frame = 'width="{}" style="border: 0; color-scheme: {}" srcdoc="{}"'
+    sources = [frame.format(*look, text) for text in texts for look in LOOKS]
     results = in_frames(FRAMES, sources, 20000, folder, VIRTUAL_TIME, axe=AXE.as_uri(), tags=json.dumps(AXE_TAGS))
-    return [SimpleNamespace(width=width, scheme=scheme, **result) for (width, scheme), result in zip(LOOKS, results, strict=True)]
+    looks = [{"width": width, "scheme": scheme} for _ in pages for width, scheme in LOOKS]
+    views = [SimpleNamespace(**look, **result) for look, result in zip(looks, results, strict=True)]
+    return [views[first : first + len(LOOKS)] for first in range(0, len(views), len(LOOKS))]
 
 
 def assert_fits(page: Path, folder: Path) -> list[SimpleNamespace]:
+    """`assert_fit` of one page."""
+    return assert_fit([page], folder)[0]
+
+
+def assert_fit(pages: Sequence[Path], folder: Path) -> list[list[SimpleNamespace]]:
     """At every width, light and dark: nothing overflows, text is legible, tiles are 1:1, and axe finds nothing to object to."""
-    views = views_of(page, folder)
-    for view in views:
+    views = views_of(pages, folder)
+    for view, page in ((view, page) for page, own in zip(pages, views, strict=True) for view in own):
         assert view.width - 20 <= view.available <= view.width, "the frame has its width, except for a scroll bar"
-        assert view.needed <= view.available
-        assert min(view.pictures, default=0) > 0, "a picture is missing or did not load"
-        assert view.outside == 0
-        assert view.smallest >= MIN_TEXT_PX
-        assert all(natural == shown for tile in view.tiles for natural, shown in (tile[:2], tile[2:]))
-        assert view.unnamed == 0
+        assert view.needed <= view.available, page
+        assert min(view.pictures, default=0) > 0, f"{page}: a picture is missing or did not load"
+        assert view.outside == 0, page
+        assert view.smallest >= MIN_TEXT_PX, page
+        assert all(natural == shown for tile in view.tiles for natural, shown in (tile[:2], tile[2:])), page
+        assert view.unnamed == 0, page
         assert all(wide == hint == stop for wide, hint, stop in view.scrolls), "what is wide says so and is a stop of the keyboard"
-        assert view.findings == [], f"axe at {view.width} px, {view.scheme}"
+        assert view.findings == [], f"axe on {page} at {view.width} px, {view.scheme}"
         levels = [level for level, _ in view.headings]
-        assert (levels[0], levels.count(1)) == (1, 1)
-        assert all(below <= above + 1 for above, below in pairwise(levels))
+        assert (levels[0], levels.count(1)) == (1, 1), page
+        assert all(below <= above + 1 for above, below in pairwise(levels)), page
     return views
 
 

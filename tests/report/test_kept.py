@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -10,15 +11,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.commands import assert_refused, command
+from helpers.commands import command
 from helpers.tiny import COARSE, tiny, tiny_toml
+from matplotlib.figure import Figure
 
 import pixsim
 from pixsim.base.files import PROVENANCE, publishing, write_made_from
-from pixsim.report import kept, run as report_of_run, study as report_of_study
+from pixsim.base.progress import no_stage
+from pixsim.report import kept
 from pixsim.report.kept import digest_of_report, keep_or_write
+from pixsim.report.run import USUAL, RunFiles, digest_of_run
 from pixsim.studies.evaluations import Counts
 from pixsim.studies.result import CasesResult, StudyResult
+from pixsim.studies.run import light_run, prepare
+from pixsim.viewer.setting import Run
 
 FILES = {"report.html": "page", "summary.json": "{}", "figures/curve.svg": "<svg/>"}
 
@@ -193,39 +199,10 @@ def test_digest_of_report_unknown_kind_raises(made: tuple[StudyResult, Path]) ->
         digest_of_report(replace(made[0], budget={"what": object()}))
 
 
-AXIS = {"axis": [{"name": "lens", "set": "camera.f_number", "values": [2.0, 2.8]}], "render_noise": 30.0}
-
-
-# Sensor types take 7 s; their report is kept by the same function.
-TYPES = pytest.param({}, "--uncertainty 8 --yes", id="types", marks=pytest.mark.slow)
-
-
-@pytest.mark.parametrize(
-    ("more", "option"), [pytest.param({}, "", id="plain"), pytest.param(AXIS, "", id="axis", marks=pytest.mark.slow), TYPES]
-)
-def test_study_command_again_draws_nothing(
-    more: dict[str, Any], option: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "tiny.toml").write_text(tiny_toml(**more), encoding="utf-8")
-    line = f"study {tmp_path / 'tiny.toml'} --out {tmp_path / 'out'} --jobs 1 {option}"
-    first = command(line)
-    assert first[0] == 0, first
-    before = {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()}
-
-    def drawn(*_: object, **__: object) -> None:
-        raise AssertionError("a section is drawn")
-
-    with monkeypatch.context() as patch:
-        patch.setattr(report_of_study, "draw_section", drawn)
-        again = command(line)
-    assert again[:2] == first[:2]
-    assert {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()} == before
-
-
-# --- runs ---
+# --- commands ---
 
 RUN = "--pixel.pitch-um 21.2 --display.dots 32 --seed 3"
-OF_SCENE = f"csf --variant scalar_spectral --resolution 48 {RUN}"
+AXIS = {"axis": [{"name": "lens", "set": "camera.f_number", "values": [2.0, 2.8]}], "render_noise": 30.0}
 
 
 def picture_of(path: Path, light: float = 0.01) -> Path:
@@ -235,63 +212,71 @@ def picture_of(path: Path, light: float = 0.01) -> Path:
     return path
 
 
-def files_of(folder: Path) -> dict[Path, tuple[int, int, bytes]]:
-    return {path: (path.stat().st_mtime_ns, path.stat().st_ino, path.read_bytes()) for path in folder.iterdir() if path.is_file()}
+def files_of(folder: Path) -> dict[str, tuple[int, bytes]]:
+    """Inode, which a file that is published has of its own, and content; the rows of a study are not published."""
+    paths = [path for path in folder.rglob("*") if path.is_file()]
+    inodes = [0 if path.name in ("results.csv", "types.csv") else path.stat().st_ino for path in paths]
+    return {str(path.relative_to(folder)): (inode, path.read_bytes()) for path, inode in zip(paths, inodes, strict=True)}
 
 
-def unused(*_: object, **__: object) -> None:
-    raise AssertionError("files are written")
-
-
-@pytest.mark.parametrize("source", ["a scene", "a picture"])
-def test_run_command_again_keeps_all_files(source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its messages and its result are those of the first run."""
-    what = OF_SCENE if source == "a scene" else f"{picture_of(tmp_path / 'ramp.npz')} {RUN}"
-    line = f"run {what} --json --out {tmp_path / 'out'}"
-    first = command(line)
+@pytest.mark.parametrize(
+    "line",
+    [
+        f"run csf --variant scalar_spectral --resolution 48 {RUN} --json",
+        f"run ramp.npz {RUN}",
+        "study plain.toml --jobs 1",
+        # Their reports are kept by the same function; sensor types take 7 s.
+        pytest.param("study axis.toml --jobs 1", marks=pytest.mark.slow),
+        pytest.param("study plain.toml --jobs 1 --uncertainty 8 --yes", marks=pytest.mark.slow),
+    ],
+)
+def test_command_again_keeps_all_files(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its result is that of the first time, and it draws nothing; a run says what it said, while a study names its rows."""
+    monkeypatch.chdir(tmp_path)
+    picture_of(tmp_path / "ramp.npz")
+    for name, more in (("plain", {}), ("axis", AXIS)):
+        (tmp_path / f"{name}.toml").write_text(tiny_toml(**more), encoding="utf-8")
+    first = command(f"{line} --out out")
     assert first[0] == 0, first
-    assert ("does not define its white" in first[2]) == (source == "a picture")
+    assert ("does not define its white" in first[2]) == ("ramp" in line)
     before = files_of(tmp_path / "out")
-    monkeypatch.setattr(report_of_run, "run_page", unused)
-    assert command(line) == first
+    monkeypatch.setattr(Figure, "__init__", lambda *_, **__: pytest.fail("a figure is drawn"))
+    again = command(f"{line} --out out")
+    assert again[: 3 if line.startswith("run") else 2] == first[: 3 if line.startswith("run") else 2]
     assert files_of(tmp_path / "out") == before
 
 
-OTHERS: dict[str, Callable[[Path, str], object]] = {  # what is done to the folder of the run, or changed in its command
-    "a setting": lambda folder, line: line.replace("--seed 3", "--seed 4"),
-    "the camera": lambda folder, line: f"{line} --camera.f-number 2.8",
-    "the files asked for": lambda folder, line: f"{line} --raw png --irradiance none",
-    "the number of frames": lambda folder, line: f"{line} --frames 2",
-    "full": lambda folder, line: f"{line} --full",
-    "the light": lambda folder, line: picture_of(folder / "ramp.npz", 0.02) and line,
-    "the name of the picture": lambda folder, line: line.replace(
-        "ramp.npz", str((folder / "ramp.npz").rename(folder / "r.npz").name)
-    ),
-    "a missing file": lambda folder, line: (folder / "out/delta_e.png").unlink() or line,
-    "a command that was killed": lambda folder, line: (
-        (folder / "out/provenance.json").write_text((folder / "out/provenance.json").read_text().replace("made_from", "of_another"))
-        and line
-    ),
-}
+def digest_of(picture: Path, files: RunFiles = USUAL, frames: int = 1, full: bool = False, **more: object) -> str:
+    settings = Run.model_validate({"pixel": {"pitch_um": 21.2}, "display": {"dots": 32}, "seed": 3, **more})
+    with warnings.catch_warnings(action="ignore"):
+        return digest_of_run(light_run(prepare(str(picture), settings, frames=frames, full=full), no_stage), files)
 
 
-@pytest.mark.parametrize("change", OTHERS)
-def test_run_command_of_something_else_writes_all_files(change: str, tmp_path: Path) -> None:
+def test_digest_of_run_other_content_has_another(tmp_path: Path) -> None:
+    ramp, bright = picture_of(tmp_path / "ramp.npz"), picture_of(tmp_path / "bright.npz", 0.02)
+    own = digest_of(ramp)
+    assert digest_of(ramp) == own
+    others = {
+        "a setting": digest_of(ramp, seed=4),
+        "the camera": digest_of(ramp, camera={"f_number": 2.8}),
+        "the files asked for": digest_of(ramp, RunFiles((".png",), "none")),
+        "the number of frames": digest_of(ramp, frames=2),
+        "full": digest_of(ramp, full=True),
+        "the light": digest_of(bright.rename(ramp)),
+        "the name of the picture": digest_of(picture_of(tmp_path / "r.npz")),
+    }
+    assert [name for name, other in others.items() if other == own] == []
+    assert len(set(others.values())) == len(others)
+
+
+def test_run_command_of_something_else_writes_all_files(tmp_path: Path) -> None:
     """Their content is that of a run into a new folder."""
-    line = f"run {picture_of(tmp_path / 'ramp.npz')} {RUN} --out {tmp_path / 'out'}"
-    assert command(line)[0] == 0
-    other = str(OTHERS[change](tmp_path, line))
+    line = f"run {picture_of(tmp_path / 'ramp.npz')} {RUN} --out {tmp_path}"
+    assert command(f"{line}/out")[0] == 0
     before = files_of(tmp_path / "out")
-    assert command(other)[0] == 0
-    after = files_of(tmp_path / "out")
-    assert not [path for path in after if path in before and after[path][0] == before[path][0]], "files that were not written"
-    assert command(other.replace("/out", "/new"))[0] == 0
-    content = {path.name: mark[2] for path, mark in files_of(tmp_path / "new").items() if path.name != PROVENANCE}
-    assert {path.name: mark[2] for path, mark in after.items() if path.name != PROVENANCE} == content
-
-
-def test_run_command_edited_file_is_refused(tmp_path: Path) -> None:
-    line = f"run {picture_of(tmp_path / 'ramp.npz')} {RUN} --out {tmp_path / 'out'}"
-    assert command(line)[0] == 0
-    (tmp_path / "out/score.json").write_text("{}")
-    assert_refused(*command(line), ["score.json", "not written by pixsim or changed since"])
+    for folder in ("out", "new"):
+        assert command(f"{line.replace('--seed 3', '--seed 4 --raw png')}/{folder}")[0] == 0
+    after, new = (files_of(tmp_path / folder) for folder in ("out", "new"))
+    assert not [name for name in after if name in before and after[name][0] == before[name][0]], "files that were not written"
+    assert after.keys() == new.keys()
+    assert not [name for name in after if name != PROVENANCE and after[name][1] != new[name][1]]

@@ -16,19 +16,8 @@ from helpers.looks import grey_look
 from helpers.tiny import tiny
 
 import pixsim
-from pixsim.report.maps import (
-    MAX_LINES,
-    Grid,
-    Scale,
-    alone_plate,
-    axis_plates,
-    colour_scale,
-    evenly,
-    map_along,
-    optimum_along,
-    plate_names,
-    round_numbers,
-)
+from pixsim.report import maps
+from pixsim.report.axes import alone_words
 from pixsim.show.figures import new_figure, own_style
 from pixsim.show.pages import Plate
 from pixsim.studies.axis import Axis
@@ -102,7 +91,7 @@ def two_axes() -> StudyResult:
 
 @pytest.fixture(scope="module")
 def plates(two_axes: StudyResult) -> dict[str, Plate]:
-    return {plate.name: plate for plate in axis_plates(two_axes)}
+    return {plate.name: plate for plate in maps.axis_plates(two_axes)}
 
 
 def rows_of(plate: Plate) -> list[dict[str, Any]]:
@@ -169,8 +158,8 @@ def test_map_holds_closed_form_curve_and_valley(plates: dict[str, Plate]) -> Non
 def test_caption_of_map_names_the_common_valley(optima_um: tuple[float, float], common: bool) -> None:
     """Of two optima, the sizes from the upper one's lower end to the lower one's upper end, a factor of e^√(0.01/BEND) away."""
     lens = LENS | {"values": [2.8, 8.0]}
-    grid = Grid(result_of(lambda at, *_: optima_um[at["lens"] > 4.0], axis=[lens]))
-    caption = map_along(grid, grid.scales[0], "").caption
+    grid = maps.Grid(result_of(lambda at, *_: optima_um[at["lens"] > 4.0], axis=[lens]))
+    caption = maps.map_along(grid, grid.scales[0], "").caption
     if not common:
         assert caption.startswith("No size is within 1 % of the least mean ΔE at every value of lens.")
         return
@@ -216,11 +205,11 @@ def test_map_colours_are_those_of_the_curve(plates: dict[str, Plate], two_axes: 
     "ends", [(0.0, 0.0), (1.0, 1.0), (0.5, 0.9), (0.3, 1.7), (0.02, 40.0), (1e-3, 1e6), (-1e-9, 2.0), (0.0, 3.0)]
 )
 def test_colour_scale_holds_all_values(ends: tuple[float, float]) -> None:
-    levels, norm = colour_scale(*ends)
+    levels, norm = maps.colour_scale(*ends)
     assert levels[0] <= ends[0] <= ends[1] <= levels[-1]
     assert (np.diff(levels) > 0).all()
     assert (norm.vmin, norm.vmax) == pytest.approx((levels[0], levels[-1]))
-    ticks = round_numbers(levels[0], levels[-1])
+    ticks = maps.round_numbers(levels[0], levels[-1])
     assert 2 <= ticks.size <= 9
     assert (np.diff(ticks) > 0).all()
     assert levels[0] <= ticks[0] <= ticks[-1] <= levels[-1]
@@ -269,8 +258,8 @@ def test_numbers_fit_their_cells(plates: dict[str, Plate]) -> None:
 def caption_of(optima: dict[Any, float], axis: dict[str, Any], **study: Any) -> str:
     """Caption of the optimum along one axis, of the optima of its values."""
     result = result_of(lambda at, *_: optima[at[axis["name"]]], axis=[axis], **study)
-    grid = Grid(result)
-    return optimum_along(grid, grid.scales[0], "").caption
+    grid = maps.Grid(result)
+    return maps.optimum_along(grid, grid.scales[0], "").caption
 
 
 LIGHTS = {"name": "light", "set": "scene.parameters.luminance_cd_per_m2", "values": [1.0, 10.0, 100.0]}
@@ -309,7 +298,7 @@ def test_caption_says_the_direction(optima_um: tuple[float, ...], words: str) ->
 def test_caption_of_labels_and_one_value() -> None:
     values = [{"label": f"f/{number:g}", "set": {"camera": {"f_number": number}}} for number in (2.8, 8.0, 4.0)]
     optics = {"name": "optics", "values": values}
-    plates = axis_plates(result_of(lambda at, *_: {"f/2.8": 5.0, "f/8": 8.0, "f/4": 6.0}[at["optics"]], axis=[optics]))
+    plates = maps.axis_plates(result_of(lambda at, *_: {"f/2.8": 5.0, "f/8": 8.0, "f/4": 6.0}[at["optics"]], axis=[optics]))
     assert re.match(
         r"The optimum is smallest with f/2\.8 \((5\.0\d|4\.9\d) µm\) and largest with f/8 \([78]\.\d\d µm\)\.", plates[0].caption
     )
@@ -317,32 +306,30 @@ def test_caption_of_labels_and_one_value() -> None:
     labels = [label.get_text() for label in plates[1].figure.axes[0].get_xticklabels()]
     assert labels == ["f/2.8", "f/8", "f/4"]
     alone = {"name": "lens", "set": "camera.f_number", "values": [4.0]}
-    plates = axis_plates(result_of(lambda *_: 6.0, axis=[alone, LIGHTS]))
+    plates = maps.axis_plates(result_of(lambda *_: 6.0, axis=[alone, LIGHTS]))
     assert re.match(r"The optimum is (6\.0\d|5\.9\d) µm with lens 4\.", plates[0].caption)
     assert re.match(r"Sizes from (4\.9|5\.0)\d to 7\.\d\d µm are within 1 % of the least mean ΔE with lens 4\.", plates[1].caption)
     assert "Held at its middle value: light 10 cd/m²." in plates[1].caption
     assert plates[-1].name == "optimum_by_lens_and_light"
 
 
-@pytest.mark.parametrize(("larger_at", "words"), [("night", "5.50 µm to 4.40 µm (day), 7.15 µm to 5.72 µm (night)")])
-def test_caption_of_lines_that_fall_together(larger_at: str, words: str) -> None:
+def test_caption_of_several_lines() -> None:
+    """Of lines that fall together one trend is said; of others, that of each."""
+
     def optima(at: dict[str, Any], condition: str, technology: str) -> float:
-        return {1.0: 5.5, 10.0: 5.0, 100.0: 4.4}[at["light"]] * (1.3 if condition == larger_at else 1.0)
+        return {1.0: 5.5, 10.0: 5.0, 100.0: 4.4}[at["light"]] * (1.3 if condition == "night" else 1.0)
 
-    plate = axis_plates(result_of(optima, axis=[LIGHTS], condition=DAY_AND_NIGHT))[0]
-    start, _, moves = plate.caption.partition(": ")
-    assert start == "From light 1 cd/m² to 100 cd/m², the optimum falls"
-    expected = [float(number) for number in re.findall(r"\d+\.\d\d", words)]
-    assert [float(number) for number in re.findall(r"\d+\.\d\d", moves)] == pytest.approx(expected, abs=0.02)
-    assert re.sub(r"\d+\.\d\d", "", moves).startswith(re.sub(r"\d+\.\d\d", "", words) + ".")
-
-
-def test_caption_of_lines_that_differ() -> None:
-    def optima(at: dict[str, Any], condition: str, technology: str) -> float:
+    def apart(at: dict[str, Any], condition: str, technology: str) -> float:
         return at["light"] ** (0.1 if condition == "night" else -0.1) * 6.0
 
-    caption = axis_plates(result_of(optima, axis=[LIGHTS], condition=DAY_AND_NIGHT))[0].caption
-    assert re.match(r"day: the optimum falls from .* at 100 cd/m²; night: the optimum rises from .* at 100 cd/m²\.", caption)
+    together, differ = (maps.axis_plates(result_of(each, axis=[LIGHTS], condition=DAY_AND_NIGHT))[0] for each in (optima, apart))
+    number = r"(\d+\.\d\d) µm"
+    words = rf"From light 1 cd/m² to 100 cd/m², the optimum falls: {number} to {number} \(day\), {number} to {number} \(night\)\."
+    found = re.match(words, together.caption)
+    assert found, together.caption
+    assert [float(each) for each in found.groups()] == pytest.approx([5.5, 4.4, 7.15, 5.72], abs=0.02)
+    words = r"day: the optimum falls from .* at 100 cd/m²; night: the optimum rises from .* at 100 cd/m²\."
+    assert re.match(words, differ.caption)
 
 
 def test_map_of_two_names_the_axes_that_matter(plates: dict[str, Plate]) -> None:
@@ -368,16 +355,16 @@ def test_thinning_states_itself(two_axes: StudyResult, plates: dict[str, Plate])
     plate = plates["optimum_by_lens"]
     assert "6 of 8 lines are shown, evenly chosen." in plate.caption
     assert {(row["condition"], row["luminance"]) for row in rows_of(plate)} == set(product(("day", "night"), (1.0, 100.0, 1000.0)))
-    assert len(plate.figure.legends[0].get_texts()) == MAX_LINES
+    assert len(plate.figure.legends[0].get_texts()) == maps.MAX_LINES
     assert "evenly" not in plates["optimum_by_luminance"].caption, "6 lines are all"
     looks = [grey_look(line) for line in plate.figure.legends[0].get_lines()]
-    assert len(set(looks)) == MAX_LINES
+    assert len(set(looks)) == maps.MAX_LINES
 
 
 def test_panels_are_at_most_six() -> None:
     names = ["0.5um", "0.35um", "0.25um", "0.18um"]
     result = result_of(optimum_um, axis=[LENS | {"values": [2.8, 8.0]}], technologies=names, condition=DAY_AND_NIGHT)
-    plate = axis_plates(result)[1]
+    plate = maps.axis_plates(result)[1]
     panels = [axes.get_title() for axes in plate.figure.axes if axes.get_title()]
     assert panels == [f"{name}, {condition}" for name in ("0.5um", "0.25um", "0.18um") for condition in ("day", "night")]
     assert "6 of 8 panels are shown, evenly chosen." in plate.caption
@@ -385,18 +372,25 @@ def test_panels_are_at_most_six() -> None:
         assert row["optimum_um"] == pytest.approx(expected_um(row), rel=FIT)
 
 
-def test_axis_over_technologies_is_one_line() -> None:
-    process = {"name": "process", "set": "pixel.technology", "values": ["0.5um", "0.35um"]}
-    along, over = axis_plates(result_of(optimum_um, axis=[process]))
-    assert along.table["process"] == along.table["technology"] == ["0.5um", "0.35um"]
+@pytest.mark.parametrize(
+    ("name", "setting", "smaller", "larger"),
+    [("technology", "pixel.technology", "0.35um", "0.5um"), ("raster", "display.raster", "one_to_one", "fixed_size")],
+)
+def test_axis_over_words_is_one_line(name: str, setting: str, smaller: str, larger: str) -> None:
+    """The lens's limit is that of the camera, whatever the raster of the display."""
+    axis = {"name": "kind", "set": setting, "values": [larger, smaller]}
+    along, over = maps.axis_plates(result_of(lambda at, *_: 6.0 if at["kind"] == smaller else 7.0, axis=[axis]))
+    assert along.table["kind"] == [larger, smaller]
+    assert name != "technology" or along.table["technology"] == [larger, smaller]
     assert not along.figure.legends
-    assert re.match(r"The optimum is smallest with 0\.35um .* and largest with 0\.5um", along.caption)
+    assert re.match(rf"The optimum is smallest with {smaller} \(.*\) and largest with {larger}", along.caption)
     assert len(over.figure.axes) == 2, "one panel and its colour bar"
+    assert len(set(over.table["cutoff_pitch_um"])) == 1
 
 
 def test_scale_of_very_many_values() -> None:
     many = Axis(name="light", set=("scene.parameters.spp",), first=1.0, to=1000.0, count=1000)
-    scale = Scale.of(many)
+    scale = maps.Scale.of(many)
     assert (len(scale.values), scale.left_out, scale.values[0], scale.values[-1]) == (50, 950, 1.0, 1000.0)
     assert np.diff(scale.values).max() <= 1.2 * np.diff(scale.values).min()
 
@@ -407,7 +401,7 @@ def test_scale_of_very_many_values() -> None:
      ((-1.0, 0.0, 100.0), False), ((0.0, 1.0, 100.0), False), ((4.0,), False), ((100.0, 1.0, 10.0), True)],
 )  # fmt: skip
 def test_scale_is_logarithmic_by_ratios(values: tuple[float, ...], log: bool) -> None:
-    scale = Scale.of(Axis(name="x", set=("pixel.dsnu",), values=values))
+    scale = maps.Scale.of(Axis(name="x", set=("pixel.dsnu",), values=values))
     assert scale.log == log
     assert scale.values == tuple(sorted(values))
     assert (np.diff(scale.edges) > 0).all()
@@ -417,9 +411,9 @@ def test_scale_is_logarithmic_by_ratios(values: tuple[float, ...], log: bool) ->
 
 
 def test_evenly_keeps_ends_and_middle() -> None:
-    assert evenly(range(7), 3) == [0, 3, 6]
-    assert evenly(range(7), 1) == [3]
-    assert evenly("ab", 2) == ["a", "b"]
+    assert maps.evenly(range(7), 3) == [0, 3, 6]
+    assert maps.evenly(range(7), 1) == [3]
+    assert maps.evenly("ab", 2) == ["a", "b"]
 
 
 # --- optima that are not known ------------------------------------------------------------------------------------------
@@ -433,7 +427,7 @@ def test_optima_at_an_end_are_hollow_and_hatched() -> None:
     """The optimum of 100 µm at the largest f-number lies beyond the 16 µm tried."""
     optics = LENS | {"values": [2.8, 4.0, 8.0]}
     result = result_of(lambda at, *_: 100.0 if at["lens"] == 8.0 else 6.0, axis=[optics, LIGHTS])
-    along, _, _, _, two = axis_plates(result)
+    along, _, _, _, two = maps.axis_plates(result)
     points = [line for line in along.figure.axes[0].lines if line.get_linestyle() == "None"]
     for line in points:
         known = set(line.get_xdata()) == {2.8, 4.0}
@@ -464,8 +458,8 @@ def unknown_at(result: StudyResult, **at: float | str) -> StudyResult:
 
 
 def test_sizes_that_the_film_cannot_tell_apart_are_not_known() -> None:
-    grid = Grid(unknown_at(result_of(lambda *_: 6.0, axis=[LENS])))
-    along = optimum_along(grid, grid.scales[0], "")
+    grid = maps.Grid(unknown_at(result_of(lambda *_: 6.0, axis=[LENS])))
+    along = maps.optimum_along(grid, grid.scales[0], "")
     assert along.table["alike"] == ["True"] * 3
     assert along.caption.startswith("The optimum does not change beyond its 95 % intervals: an unknown size at lens 2.8")
     assert "Hollow: the film cannot tell sizes apart." in along.caption
@@ -475,7 +469,7 @@ def test_an_unknown_size_does_not_hide_a_difference() -> None:
     """The largest of three is not known; the other two differ."""
     optima = {2.8: 4.0, 4.0: 6.0, 8.0: 9.0}
     result = unknown_at(result_of(lambda at, *_: optima[at["lens"]], axis=[LENS, LIGHTS | {"values": [1.0, 10.0]}]), lens=8.0)
-    two = axis_plates(result)[-1]
+    two = maps.axis_plates(result)[-1]
     assert re.match(
         r"The optimum is smallest, (4\.0\d|3\.9\d) µm, with lens 2.8, and largest, (6\.0\d|5\.9\d) µm, with lens 4;", two.caption
     )
@@ -494,10 +488,10 @@ def test_names_of_columns_and_files_are_unique() -> None:
         {"name": "$x$ <b>/..", "set": "pixel.bits", "values": [10, 12]},
     ]
     result = result_of(lambda *_: 6.0, axis=axes)
-    plates = axis_plates(result)
+    plates = maps.axis_plates(result)
     names = [plate.name for plate in plates]
     assert len({name.casefold() for name in names}) == len(names) == 2 * 3 + 3
-    assert names == plate_names(result.study)
+    assert names == maps.plate_names(result.study)
     assert all(re.fullmatch(r"[\w.\-]+", name, re.ASCII) for name in names)
     for plate in plates:
         assert all(np.isfinite(row["optimum_um"]) and row["optimum_um"] > 5.9 for row in rows_of(plate)), "not the axis' value"
@@ -505,22 +499,14 @@ def test_names_of_columns_and_files_are_unique() -> None:
 
 
 def test_no_plates_without_axes() -> None:
-    assert axis_plates(result_of(lambda *_: 6.0, condition=DAY_AND_NIGHT)) == []
-    assert alone_plate(result_of(lambda *_: 6.0, axis=[LENS | {"values": [4.0]}])) is None
-    assert axis_plates(replace(result_of(lambda *_: 6.0), parts=())) == []
+    assert maps.axis_plates(result_of(lambda *_: 6.0, condition=DAY_AND_NIGHT)) == []
+    assert maps.alone_plate(result_of(lambda *_: 6.0, axis=[LENS | {"values": [4.0]}])) is None
+    assert maps.axis_plates(replace(result_of(lambda *_: 6.0), parts=())) == []
 
 
 def test_plates_are_reproducible() -> None:
-    grid = Grid(result_of(lambda *_: 6.0, axis=[LENS]))
-    assert map_along(grid, grid.scales[0], "").drawn() == map_along(grid, grid.scales[0], "").drawn()
-
-
-def test_axis_over_rasters() -> None:
-    """One axis over the display's raster: the lens's limit is that of the camera, not of the display."""
-    raster = {"name": "raster", "set": "display.raster", "values": ["one_to_one", "fixed_size"]}
-    along, over = axis_plates(result_of(lambda at, *_: 6.0 if at["raster"] == "one_to_one" else 7.0, axis=[raster]))
-    assert re.match(r"The optimum is smallest with one_to_one \(.*\) and largest with fixed_size", along.caption)
-    assert len(set(over.table["cutoff_pitch_um"])) == 1
+    grid = maps.Grid(result_of(lambda *_: 6.0, axis=[LENS]))
+    assert maps.map_along(grid, grid.scales[0], "").drawn() == maps.map_along(grid, grid.scales[0], "").drawn()
 
 
 # --- axes moved alone ---------------------------------------------------------------------------------------------------
@@ -538,8 +524,13 @@ def moved_um(at: dict[str, Any], condition: str, technology: str) -> float:
 
 
 @pytest.fixture(scope="module")
-def tornado() -> Plate:
-    plate = alone_plate(result_of(moved_um, axis=[*ALONE, LENS | {"values": [4.0]}], condition=DAY_AND_NIGHT))
+def moved() -> StudyResult:
+    return result_of(moved_um, axis=[*ALONE, LENS | {"values": [4.0]}], condition=DAY_AND_NIGHT)
+
+
+@pytest.fixture(scope="module")
+def tornado(moved: StudyResult) -> Plate:
+    plate = maps.alone_plate(moved)
     assert plate is not None
     return plate
 
@@ -566,6 +557,15 @@ def test_alone_plate_bars_span_the_moves(tornado: Plate) -> None:
         )
 
 
+def test_words_of_axes_moved_alone_are_widest_first(moved: StudyResult) -> None:
+    form = r"(\w+), (read noise|prnu) alone: (\S+) to (\S+) µm, least mean ΔE 1\.000 to 1\.000"
+    found = [match.groups() for match in map(re.compile(form).fullmatch, alone_words(moved)) if match]
+    expected = [(condition, name) for condition in ("day", "night") for name in ("read noise", "prnu")]
+    assert [(condition, name) for condition, name, *_ in found] == expected
+    ends = [float(end) for *_, low, high in found for end in (low, high)]
+    assert ends == pytest.approx([4.5, 7.0, 4.95, 5.25, 5.85, 9.1, 6.435, 6.825], abs=0.02)
+
+
 def test_alone_plate_names_the_strongest(tornado: Plate) -> None:
     day, night = tornado.caption.split(". ")[:2]
     for words, condition, larger in ((day, "day", 1.0), (night, "night", 1.3)):
@@ -574,22 +574,22 @@ def test_alone_plate_names_the_strongest(tornado: Plate) -> None:
         )
         assert found, words
         assert [float(number) for number in found.groups()] == pytest.approx([5.0 * larger, 7.0 * larger], rel=3e-3)
-    still = alone_plate(result_of(lambda *_: 6.0, axis=[ALONE[0]]))
+    still = maps.alone_plate(result_of(lambda *_: 6.0, axis=[ALONE[0]]))
     assert still is not None
     assert re.match(r"No axis moves the optimum, \S+ µm of the base, beyond the 95 % intervals\.", still.caption)
 
 
 def test_alone_axes_are_not_in_the_maps() -> None:
     result = result_of(moved_um, axis=[*ALONE, LENS | {"values": [2.8, 8.0]}])
-    assert [plate.name for plate in axis_plates(result)] == ["optimum_by_lens", "delta_e_by_pitch_and_lens"]
-    assert plate_names(result.study)[-1] == "tornado"
-    assert axis_plates(result)[0].table["lens"] == [2.8, 8.0]
+    assert [plate.name for plate in maps.axis_plates(result)] == ["optimum_by_lens", "delta_e_by_pitch_and_lens"]
+    assert maps.plate_names(result.study)[-1] == "tornado"
+    assert maps.axis_plates(result)[0].table["lens"] == [2.8, 8.0]
 
 
 @own_style()
 def test_ticks_of_a_logarithmic_axis_do_not_overlap() -> None:
     """Seven values in a panel of half the width: those of fewest digits have labels."""
-    scale = Scale.of(Axis(name="light", set=("pixel.dsnu",), first=1.0, to=1000.0, count=7, spacing="log"))
+    scale = maps.Scale.of(Axis(name="light", set=("pixel.dsnu",), first=1.0, to=1000.0, count=7, spacing="log"))
     figure = new_figure(2.4, 2.0)
     axes = figure.subplots()
     scale.draw_on(axes, 28)

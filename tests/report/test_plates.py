@@ -151,35 +151,26 @@ def test_figure_2a_draws_equations(tiny_result: StudyResult) -> None:
     assert growth_exponent(pitch_um, column(plate, "dr_paper_db")) == pytest.approx(1.2, abs=0.05)
 
 
-def test_figure_2b_draws_system_mtf(tiny_result: StudyResult) -> None:
-    plate = figure_2b(tiny_result)
-    relative = column(plate, "frequency_over_6um_nyquist")
-    assert relative[[0, -1]] == pytest.approx([0, 1])
-    curves = []
-    for pitch_um in (6, 8, 10, 12):
-        physics = pixsim.derive(pixel_of(tiny_result.study, "0.35um", pitch_um))
-        mtf = column(plate, f"mtf_{pitch_um}um")
-        np.testing.assert_allclose(mtf, system_mtf(tiny_result, physics, relative * 1e3 / 12), rtol=1e-12)
-        assert is_drawn(plate, relative, mtf)
-        curves.append(mtf)
-    assert (np.diff(curves, axis=0)[:, 1:] < 0).all(), "a larger photodiode blurs more"
-
-
 TERMS = ("lens", "photodiode", "interpolation", "dot")
 
 
-def test_figure_2b_draws_terms_and_product(tiny_result: StudyResult) -> None:
+def test_figure_2b_draws_system_mtf_terms_and_product(tiny_result: StudyResult) -> None:
     """At the Nyquist frequency of 6.5 µm pixels the linear interpolation leaves (2/π)²; a dot here is 2713.6/120 µm."""
     plate = figure_2b(tiny_result)
-    frequency = column(plate, "frequency_lp_per_mm")
+    relative, frequency = column(plate, "frequency_over_6um_nyquist"), column(plate, "frequency_lp_per_mm")
+    assert relative[[0, -1]] == pytest.approx([0, 1])
     assert frequency[[0, -1]] == pytest.approx([0, 1e3 / 12])
+    physics = {um: pixsim.derive(pixel_of(tiny_result.study, "0.35um", um)) for um in (6, 6.5, 8, 10, 12)}
+    curves = {um: column(plate, f"mtf_{um}um") for um in (6, 8, 10, 12)}
+    for um, mtf in curves.items():
+        np.testing.assert_allclose(mtf, system_mtf(tiny_result, physics[um], relative * 1e3 / 12), rtol=1e-12)
+        assert is_drawn(plate, relative, mtf)
+    assert (np.diff(list(curves.values()), axis=0)[:, 1:] < 0).all(), "a larger photodiode blurs more"
     terms = {name: column(plate, f"{name}_mtf_6.5um") for name in TERMS}
     shown = column(plate, "shown_mtf_6.5um")
-    for values in (*terms.values(), shown):
-        assert is_drawn(plate, frequency, values, panel=1)
+    assert all(is_drawn(plate, frequency, values, panel=1) for values in (*terms.values(), shown))
     np.testing.assert_allclose(shown, np.prod(list(terms.values()), axis=0), rtol=1e-12)
-    physics = pixsim.derive(pixel_of(tiny_result.study, "0.35um", 6.5))
-    np.testing.assert_allclose(terms["lens"] * terms["photodiode"], system_mtf(tiny_result, physics, frequency), rtol=1e-12)
+    np.testing.assert_allclose(terms["lens"] * terms["photodiode"], system_mtf(tiny_result, physics[6.5], frequency), rtol=1e-12)
     # Drawn lines between 101 points of a curve whose second derivative is at most 5e-4 mm²: 5e-5.
     assert np.interp(1e3 / 13, frequency, terms["interpolation"]) == pytest.approx((2 / np.pi) ** 2, abs=1e-4)
     np.testing.assert_allclose(terms["dot"], np.abs(np.sinc(frequency * 1e-3 * DIE_MM * 1e3 / 120)), atol=1e-9)
@@ -447,7 +438,8 @@ def test_svg_text_is_reproducible(evidence: Evidence, saved: dict[str, str]) -> 
     assert {name: svg_text(plate.figure) for name, plate in every_plate(evidence).items()} == saved
 
 
-def test_svg_text_references_have_targets(saved: dict[str, str]) -> None:
+def test_svg_text_has_its_targets_and_images(saved: dict[str, str]) -> None:
+    images = 0
     for name, svg in saved.items():
         targets = re.findall(r'\bid="([^"]+)"', svg)
         assert len(set(targets)) == len(targets), f"{name}: an id stands twice"
@@ -456,6 +448,11 @@ def test_svg_text_references_have_targets(saved: dict[str, str]) -> None:
         assert references, name
         # Matplotlib's own ids end in ten digits of a hash of coordinates.
         assert not re.search(r'id="[^"]*[0-9a-f]{10}"', svg), name
+        for kind, data in re.findall(r'href="data:image/(\w+);base64,\s*([^"]+)"', svg):
+            picture = imread(io.BytesIO(base64.b64decode("".join(data.split()), validate=True)), format=kind)
+            assert min(picture.shape[:2]) > 1, name
+            images += 1
+    assert images >= 8  # the scene, three pictures of either kind, the cells
 
 
 def test_captions_answer_with_the_numbers_drawn(evidence: Evidence, plates: dict[str, Plate]) -> None:
@@ -499,16 +496,6 @@ def test_figure_in_a_page_is_the_file_drawn(plates: dict[str, Plate]) -> None:
     )
     assert page == file
     assert unquote(html.unescape(str(drawn.data)).partition(",")[2]) == drawn.csv
-
-
-def test_svg_text_keeps_images(saved: dict[str, str]) -> None:
-    seen = 0
-    for name, svg in saved.items():
-        for kind, data in re.findall(r'href="data:image/(\w+);base64,\s*([^"]+)"', svg):
-            picture = imread(io.BytesIO(base64.b64decode("".join(data.split()), validate=True)), format=kind)
-            assert min(picture.shape[:2]) > 1, name
-            seen += 1
-    assert seen >= 8  # the scene, three pictures of either kind, the cells
 
 
 def test_plates_lines_differ_in_grey(plates: dict[str, Plate]) -> None:

@@ -1,38 +1,39 @@
-"""`pixsim run` by the command line: saved and foreign pictures, and the self-contained page of one picture."""
+"""`pixsim run` by the command line: saved and foreign pictures, files, notes, and what its page says of them."""
 
 from __future__ import annotations
 
-import base64
 import html
 import json
 import re
 import warnings
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from helpers.browser import assert_fits, assert_prints, assert_sliders_move, needs_browser
 from helpers.commands import assert_refused, command
-from helpers.looks import assert_short_headlines, text_of
+from helpers.looks import text_of
+from helpers.runs import run_result
+from helpers.sheets import two_sheets
 
 import pixsim
+from pixsim.base.errors import PixsimError
 from pixsim.light.exr import read_channels, write_channels
 from pixsim.optics.camera import CameraOptions
 from pixsim.optics.exchange import read_with_camera, write_npz
 from pixsim.optics.lens_options import LensOptions
 from pixsim.report.outline import outline_document, run_outline
-from pixsim.report.run import FILES, colour_rows, shown_picture
+from pixsim.report.run import colour_rows, shown_picture
 from pixsim.scene.film import PATH_SAMPLES
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.readout import frame_variance_dn2
-from pixsim.show.pictures import MAX_PICTURE_DOTS as MAX_DOTS, Picture, display_codes, factor_for, reduced
+from pixsim.show.pictures import MAX_PICTURE_DOTS as MAX_DOTS, Picture, display_codes, reduced
 from pixsim.studies.run import prepare
 from pixsim.studies.sentences import lens_words
 from pixsim.viewer.setting import Run
 
 OPTIONS = "--pixel.pitch-um 21.2 --display.dots 64 --seed 3"
 LENS = "--camera.f-number 2.8"
+RENDERED = f"run csf --variant scalar_spectral --resolution 64 {LENS} {OPTIONS}"
 
 
 def scored(line: str) -> tuple[dict, str]:
@@ -48,8 +49,7 @@ def scored(line: str) -> tuple[dict, str]:
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
     """A run's folder and its score."""
     out = tmp_path_factory.mktemp("rendered")
-    line = f"run csf --variant scalar_spectral --resolution 64 {LENS} {OPTIONS} --json --out {out}"
-    return out, scored(line)[0]
+    return out, scored(f"{RENDERED} --json --out {out}")[0]
 
 
 @pytest.mark.parametrize("lens", ["", LENS])
@@ -63,13 +63,6 @@ def test_run_saved_irradiance_same_score(rendered, lens, tmp_path):
         assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes(), name
     assert not {"render_noise", "plan"} & after.keys()
     assert before["camera"]["f_number"] == 2.8
-
-
-def test_run_other_pixel_or_seed_other_score(rendered, tmp_path):
-    folder, before = rendered
-    for option, other in (("--seed 3", "--seed 4"), ("--pixel.pitch-um 21.2", "--pixel.pitch-um 42.4")):
-        after, _ = scored(f"run {folder / 'irradiance.exr'} {OPTIONS.replace(option, other)} --json --out {tmp_path}")
-        assert after["mean_delta_e"] != before["mean_delta_e"]
 
 
 def test_run_npz_same_score(rendered, tmp_path):
@@ -91,9 +84,19 @@ def test_read_with_camera_takes_die_from_file(rendered):
     assert camera.die_mm == pytest.approx(image.pitch_um * 64 / 1e3)
 
 
-def test_run_other_lens_warns(rendered, tmp_path):
-    _, err = scored(f"run {rendered[0] / 'irradiance.exr'} --camera.f-number 8 {OPTIONS} --json --out {tmp_path}")
-    assert err.startswith("warning: the irradiance was rendered with another camera")
+def test_run_notes_reach_score_page_and_json(rendered, tmp_path):
+    """What it was warned of is on stderr, too."""
+    line = f"run {rendered[0] / 'irradiance.exr'} --camera.f-number 8 {OPTIONS} --json --out {tmp_path}"
+    score, err = scored(line)
+    other, bright, dark = score["notes"]
+    assert other.startswith("the irradiance was rendered with another camera")
+    assert "of the ideal image is brighter than display white" in bright
+    assert err.startswith(f"warning: {other}")
+    assert [err.count(note) for note in (other, bright)] == [1, 1]
+    assert dark.startswith("the black level of 0 DN clips dark noise")
+    assert json.loads((tmp_path / "score.json").read_text(encoding="utf-8"))["notes"] == score["notes"]
+    page = html.unescape(text_of(tmp_path))
+    assert all(note[1:] in page for note in score["notes"])  # with a capital letter first
 
 
 # --- Pictures made elsewhere ---
@@ -255,6 +258,7 @@ def test_run_of_no_or_too_many_frames_raises(frames, more, tmp_path, monkeypatch
         ("study pixel-size --quick --pitch.count 5", "results.csv"),
         ("study pixel-size --quick --axis pixel.prnu=0.01,0.02", "figures/optimum_by_pixel.prnu.csv"),
         ("accuracy csf --quick", "ladders.csv"),
+        ("compare '{here}/quiet.toml' '{here}/noisy one.toml'", "pictures/image_quiet.png"),
         ("datasheet 0.35um", "figures/snr.svg"),
         ("sfr {exr}/../raw.exr", "summary.json"),
     ],
@@ -268,25 +272,12 @@ def test_command_other_file_of_the_same_name_raises(rendered, line, name, tmp_pa
         edge = np.full((128, 128), 100, np.uint16) + 500 * (np.arange(128) + np.arange(128)[:, None] / 12 > 70)
         np.save(tmp_path / "edge.npy", edge.astype(np.uint16))
         line = f"sfr {tmp_path / 'edge.npy'}"
+    two_sheets(tmp_path)
     before = sorted(tmp_path.rglob("*"))
-    line = line.format(exr=rendered[0] / "irradiance.exr")
+    line = line.format(exr=rendered[0] / "irradiance.exr", here=tmp_path)
     assert_refused(*command(f"{line} --out {tmp_path}"), [path.name, "not written by pixsim", "--out"])
     assert path.read_text() == "my own"
     assert sorted(tmp_path.rglob("*")) == before
-
-
-def test_run_notes_reach_score_page_and_json(tmp_path):
-    line = f"run csf --variant scalar_spectral --resolution 64 -D spp=16 {OPTIONS} --max-seconds 1e-3 --render-noise 1e-5"
-    score, err = scored(f"{line} --json --out {tmp_path / 'out'}")
-    noisy, dark = score["notes"]
-    fraction = score["render_noise"]["fraction"]
-    assert noisy.startswith("the time limit of 0.001 s (--max-seconds) leaves no time for the next step of the render")
-    assert f"render noise is {fraction:.2g} of the sensor noise, target 1e-05" in noisy
-    assert dark.startswith("the black level of 0 DN clips dark noise")
-    assert err.count(noisy) == 1
-    assert json.loads((tmp_path / "out/score.json").read_text(encoding="utf-8"))["notes"] == score["notes"]
-    page = html.unescape(text_of(tmp_path / "out"))
-    assert all(note[1:] in page for note in score["notes"])  # with a capital letter first
 
 
 def test_run_irradiance_option_sets_contents(tmp_path):
@@ -295,7 +286,7 @@ def test_run_irradiance_option_sets_contents(tmp_path):
     light = light_file(tmp_path / "wide.npz", 1.0 + (x // 3 + y) % 2, 1.0)
     line = f"run {light} --camera.die-mm 2.048 --pixel.pitch-um 16 --display.dots 128 --json --out {tmp_path / 'out'} --irradiance"
     scores, file = {}, tmp_path / "out/irradiance.exr"
-    for content in ("reduced", "full", "factors", "none"):
+    for content in ("full", "factors", "none", "reduced"):
         score, err = scored(f"{line} {content}")
         scores[content] = {name: score[name] for name in ("mean_delta_e", "mean_electrons_e", "irradiance")}
         assert ("holds its bands in full" in err) == (content == "factors")  # a cube of another program has no factors
@@ -303,7 +294,6 @@ def test_run_irradiance_option_sets_contents(tmp_path):
         if content != "none":
             assert pixsim.read_exr(file).shape == ((32, 1024) if content == "reduced" else (64, 2048))
     assert all(score == scores["full"] for score in scores.values())
-    scored(f"{line} reduced")
     again, err = scored(f"run {file} --pixel.pitch-um 16 --display.dots 128 --json --out {tmp_path / 'again'}")
     assert "'irradiance.exr' holds means over 2 × 2 samples of the render, 2 µm wide" in err
     assert again["irradiance"]["reduced"] == {"samples": [64, 2048], "factor": 2.0}
@@ -311,51 +301,6 @@ def test_run_irradiance_option_sets_contents(tmp_path):
 
 
 # --- The page of one picture ---
-
-LINE = "run csf --variant scalar_spectral --resolution 128 --display.dots 200 --pixel.pitch-um 10.6 --raw png --out"
-
-
-@pytest.fixture(scope="module")
-def ran(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("ran") / "out"
-    code, message, err = command(f"{LINE} {out}")
-    assert code == 0, err
-    assert message.splitlines()[-1] == f"report: {out / 'report.html'}"
-    return out
-
-
-def coarse_mean(score: dict[str, Any]) -> str:
-    """The mean ΔE of a film that is too coarse, of an error of 0.1 to 10."""
-    mean, error = score["mean_delta_e"], score["film"]["delta_e"]
-    assert 0.1 <= error < 10
-    return f"{mean:.1f} ± {error:.1f} (film), not converged"
-
-
-def test_run_page_matches_score_json(ran: Path) -> None:
-    score = json.loads((ran / "score.json").read_text(encoding="utf-8"))
-    page = " ".join(text_of(ran).split())
-    assert f'<b class="words">{coarse_mean(score)}</b>' in page
-    for name in ("full_well_e", "integration_s", "saturated_fraction", "mean_electrons_e", "p99_delta_e", "max_delta_e"):
-        assert f"<td>{float(f'{score[name]:.5g}'):.15g}</td>" in page, name  # without an exponent
-    assert "256 × 256 pixels of 10.6 µm (0.35um) on 2.714 × 2.714 mm" in page
-    assert "3.86 mm f/4" in page
-    assert f"exposed for {1e3 * score['integration_s']:.3g} ms" in page
-    assert "display white is 1000 cd/m² in the scene; exposed for" in page
-    assert (
-        '<th scope="row">white_cd_per_m2</th><td>1000</td><td>scene luminance shown as display white</td><td>the scene</td>' in page
-    )
-    assert '<th scope="row">film</th><td>128 × 128</td>' in page
-    assert "at 95 % of the full well" in page  # as the automatic exposure is asked to
-    assert "<p>At 33.3 lp/mm, the highest frequency of the chart, the MTF of the lens is 0.9" in page  # tests/studies/test_paper.py
-
-
-def test_dry_run_foresees_the_least_error_of_a_coarse_film(ran: Path) -> None:
-    """What the film cannot show is known before there is a picture; what its picture shows comes on top."""
-    outline = json.loads(command(f"{LINE} {ran} --dry-run --json")[1])
-    score = json.loads((ran / "score.json").read_text(encoding="utf-8"))
-    share, measured = outline["errors"]["film_share"], score["film"]["delta_e"] / score["mean_delta_e"]
-    assert 0.02 < share < 1.02 * measured < 3 * share, "2 % between the means of two sensors"
-    assert f"film: at least {100 * share:.2g} % of mean ΔE" in command(f"{LINE} {ran} --dry-run")[1]
 
 
 @pytest.mark.parametrize(
@@ -397,6 +342,11 @@ def test_lens_is_named_with_its_scale():
     assert not CameraOptions(die_mm=4.0).assumption(camera), "the lens has its own"
 
 
+def test_pictures_are_written_to_no_pdf(tmp_path):
+    with pytest.raises(PixsimError, match="figures: got 'pdf' for a RunResult; allowed: 'svg', since it has pictures"):
+        pixsim.write_report(run_result([1.0], {}), tmp_path, figures="pdf")
+
+
 def light_file(path: Path, steps: np.ndarray, pitch_um: float) -> Path:
     """Irradiance as another program wrote it: a picture of ones and twos, these about half as bright as white."""
     nm = np.arange(400.0, 701.0, 20.0)
@@ -423,20 +373,6 @@ def test_run_page_locates_largest_errors(tmp_path: Path) -> None:
     assert f"Its centre is at x = {x_mm:.3g} mm, y = {y_mm:.3g} mm on the sensor, from the upper left" in page
 
 
-def test_run_page_has_a_short_headline(ran: Path) -> None:
-    assert_short_headlines(ran)
-
-
-def test_run_page_states_viewing_distance(ran: Path) -> None:
-    page = " ".join(html.unescape(text_of(ran)).split())
-    distance_mm = 23 * 25.4 / 96 / np.tan(np.radians(1))  # 23 dots a degree, 96 an inch
-    view = f"at a distance where 23 dots span a degree ({distance_mm:.0f} mm away where a screen has 96 dots"
-    assert f"view it at 100 % zoom, {view}" in page
-    # `assert_sliders_move` meets the pictures on those sides.
-    assert "Left: the ideal image. Right: the sensor's picture." in page
-    assert 'alt="The sensor\'s picture (10.6 µm pixels)"' in page
-
-
 SHEET = "--pixel.full-well-e 8000 --pixel.read-noise-e 5 --pixel.dark-current-e-per-s 10 --pixel.quantum-efficiency 0.6"
 
 
@@ -460,78 +396,29 @@ def test_run_page_foreign_picture_and_data_sheet(tmp_path: Path) -> None:
     assert "Each dot of the whole pictures is the mean of 4 × 4 dots of the display." in page
 
 
-def test_run_page_enlarges_small_picture(tmp_path: Path) -> None:
-    line = f"run csf --variant scalar_spectral --resolution 48 --display.dots 40 --pixel.pitch-um 42.4 --out {tmp_path}"
-    assert command(line)[0] == 0
-    page = text_of(tmp_path)
-    assert "--dots: 228px" in page  # 38 of 40 dots are shown
-    assert "(each dot enlarged 6 ×)" in page
+def test_run_page_enlarges_small_picture(rendered):
+    page = text_of(rendered[0])
+    assert "--dots: 248px" in page  # 62 of 64 dots are shown
+    assert "(each dot enlarged 4 ×)" in page
 
 
-def test_run_page_embeds_written_pictures(ran: Path) -> None:
-    embedded = {base64.b64decode(item) for item in re.findall(r'src="data:image/png;base64,([^"]+)"', text_of(ran))}
-    for name in ("ideal.png", "image.png", "delta_e.png"):
-        assert (ran / name).read_bytes() in embedded
-
-
-def test_run_page_links_every_file(ran: Path) -> None:
-    page = text_of(ran)
-    links = set(re.findall(r'href="([^"#]+)"', page))
-    assert links == {path.name for path in ran.iterdir()} - {"report.html"}
-    assert links == {*FILES, "raw.png"}
-    assert all(item.startswith("data:") for item in re.findall(r'src="([^"]+)"', page))
-    assert "<script" not in page
-    assert str(ran.parent) not in page
-
-
-def test_run_page_is_reproducible(ran: Path, tmp_path: Path) -> None:
-    assert command(f"{LINE} {tmp_path}")[0] == 0
-    assert (tmp_path / "report.html").read_bytes() == (ran / "report.html").read_bytes()
-
-
-@pytest.mark.parametrize(("shape", "small"), [((2, 4096), (1, 1024)), ((4096, 1), (1024, 1)), ((2, 3000), (1, 1000))])
-def test_reduced_thin_picture(shape: tuple[int, int], small: tuple[int, int]) -> None:
-    rng = np.random.default_rng(3)
-    whole = rng.random(shape)
-    shown = reduced(whole)
-    assert shown.shape == small
+@pytest.mark.parametrize(
+    ("shape", "small"),
+    [((1024, 1024), (1024, 1024)), ((1025, 8), (512, 4)), ((700, 3000), (233, 1000)),
+     ((2, 4096), (1, 1024)), ((4096, 1), (1024, 1)), ((2, 3000), (1, 1000))],  # thinner than a block
+)  # fmt: skip
+def test_large_picture_is_reduced_to_means_of_whole_blocks(shape: tuple[int, int], small: tuple[int, int]) -> None:
+    whole = np.random.default_rng(3).random(shape)
     down, across = (n // m for n, m in zip(shape, small, strict=True))
-    assert shown[-1, -1] == pytest.approx(whole[-down:, -across:].mean())
-
-
-@pytest.mark.parametrize(("shape", "factor"), [((1024, 1024), 1), ((1025, 8), 2), ((700, 3000), 3)])
-def test_shown_picture_large_is_reduced(shape: tuple[int, int], factor: int) -> None:
-    assert factor_for(np.zeros(shape)) == factor
-    rng = np.random.default_rng(2)
-    small = rng.random([n // factor for n in shape])
-    whole = np.zeros(shape)
-    inner = np.kron(small, np.ones((factor, factor)))
-    whole[: inner.shape[0], : inner.shape[1]] = inner
+    blocks = whole[: down * small[0], : across * small[1]].reshape(small[0], down, small[1], across)
+    np.testing.assert_allclose(reduced(whole), blocks.mean(axis=(1, 3)))
+    assert max(small) <= MAX_DOTS
     shown = shown_picture(b"the file's own bytes", whole, "a name")
-    if factor == 1:
+    assert (shown.height, shown.width) == small
+    if shape == small:
         assert shown.png == b"the file's own bytes"
     else:
-        assert shown == Picture(display_codes(small), "a name")
-    assert (shown.height, shown.width) == small.shape
-    assert max(small.shape) <= MAX_DOTS
-
-
-@needs_browser
-def test_run_page_fits_screens(ran: Path, tmp_path: Path) -> None:
-    actual = assert_fits(ran / "report.html", tmp_path)
-    assert_sliders_move(actual, pictures=1)
-    for seen in actual:
-        assert len(seen.tiles) == 3
-        assert {tuple(tile) for tile in seen.tiles} == {(112,) * 4}
-
-
-@needs_browser
-def test_run_page_prints(ran: Path, tmp_path: Path) -> None:
-    headings = re.findall(r"<h2[^>]*>(.*?)</h2>", text_of(ran))
-    assert len(headings) == 6
-    score = json.loads((ran / "score.json").read_text(encoding="utf-8"))
-    message = [f"Mean ΔE {coarse_mean(score)}", "score.json", "10.6 µm pixels"]
-    assert_prints(ran / "report.html", tmp_path, range(3, 7), message, headings, headings[:3])
+        assert shown == Picture(display_codes(reduced(whole)), "a name")
 
 
 def test_colour_rows_are_those_of_score_json() -> None:

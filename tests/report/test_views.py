@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,24 +19,8 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.records import checked
 from pixsim.report.pictures import crops
 from pixsim.report.views import best_place, rank, study_views
-from pixsim.show import pictures as details
-from pixsim.show.pictures import (
-    COLUMNS,
-    DETAIL_DOTS,
-    SHEET_GAP as GAP,
-    SHEET_MARGIN as MARGIN,
-    TITLE,
-    Picture,
-    Window,
-    contact_sheet_png,
-    delta_e_colours,
-    display_codes,
-    scale,
-    window_at,
-    windows,
-    worst_window,
-)
-from pixsim.studies import evaluations
+from pixsim.show import pictures
+from pixsim.show.pictures import DETAIL_DOTS, Picture, Window, delta_e_colours, display_codes, window_at, windows, worst_window
 from pixsim.studies.result import StudyResult
 from pixsim.viewer.merging import merge
 
@@ -103,35 +89,28 @@ def test_worst_window_is_bad_in_all_maps() -> None:
 # --- pictures ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("how", ["kept", "not kept", "of another shape"])
-def test_shown_part_equals_scored_picture(tiny_result: StudyResult, how: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """To the last bit, with the frame from the cache and without it."""
+@pytest.mark.parametrize("cached", ["kept", "not kept", "of another shape"])
+def test_shown_pictures_equal_scored_ones(
+    tiny_result: StudyResult, cached: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To the last bit; where the cache has a frame, the light on its pixels is not computed. It has none of a further sensor."""
     curve = tiny_result.curves[0]
-    places = [(curve.technology, float(curve.pitch_um[place])) for place in (0, 3)]
-    expected = [tiny_result.scores(*place, 1)[0].image for place in places]
-    if how == "not kept":
-        monkeypatch.setattr(cache, "arrays", lambda kind, key: None)
-    elif how == "of another shape":
-        monkeypatch.setattr(cache, "arrays", lambda kind, key: {"0": np.zeros((3, 3), np.uint16)})
-    for place, image in zip(places, expected, strict=True):
-        with monkeypatch.context() as patch:
-            if how == "kept":
-                patch.setattr(evaluations, "chain_of", None)  # the expensive way is not used
-            np.testing.assert_array_equal(tiny_result.shown_part(*place, WHOLE.of), image)
-
-
-def test_shown_scores_equal_scores(tiny_result: StudyResult, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of sensors that the study has, and of one more, whose frame the cache has not: to the last bit."""
-    curve = tiny_result.curves[0]
-    own = curve.technology, float(curve.pitch_um[1])
-    count = tiny_result.sensors_at(*own)
-    expected = tiny_result.scores(*own, count + 1)
+    place = curve.technology, float(curve.pitch_um[1])
+    count = tiny_result.sensors_at(*place)
+    expected = tiny_result.scores(*place, count + 1)
     assert all(score.frame.mean_e.mean() > 0 for score in expected)
-    with monkeypatch.context() as patch:
-        patch.setattr(evaluations, "chain_of", None)  # the light on the pixels is not computed
-        shown = tiny_result.shown_scores(*own, count)
-    monkeypatch.setattr(cache, "arrays", lambda kind, key: None)
-    for found in (shown, tiny_result.shown_scores(*own, count + 1)):
+    if cached != "kept":
+        monkeypatch.setenv("PIXSIM_CACHE_DIR", str(tmp_path))
+    if cached == "of another shape":
+        tiny_result.scores(*place, count)
+        (path,) = (tmp_path / "frames").glob("*.npz")
+        frames = cache.arrays("frames", path.stem)
+        assert frames
+        cache.store_arrays("frames", path.stem, {name: np.zeros((3, 3), array.dtype) for name, array in frames.items()})
+    shown = tiny_result.shown_scores(*place, count)
+    assert [score.frame.mean_e.mean() == 0 for score in shown] == [cached == "kept"] * count
+    np.testing.assert_array_equal(tiny_result.shown_part(*place, WHOLE.of), expected[0].image)
+    for found in (shown, tiny_result.shown_scores(*place, count + 1)):
         for one, other in zip(found, expected, strict=False):
             np.testing.assert_array_equal(one.delta_e, other.delta_e)
             np.testing.assert_array_equal(one.frame.dn, other.frame.dn)
@@ -150,16 +129,19 @@ def test_study_views_one_to_one_large_pixels(tmp_path: Path) -> None:
     assert all(min(item.width, item.height) >= 1 for item in views.tiles)
 
 
-def test_study_views_reduce_whole_pictures_only(tiny_result: StudyResult, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(details, "MAX_PICTURE_DOTS", 60)
+def test_study_views_reduce_whole_pictures_only(tiny_result: StudyResult) -> None:
+    """Each dot is ten by ten here, of which the means of two by two are five by five: whole pictures have at most 1024 dots."""
     curve = tiny_result.curves[0]
-    (best,) = tiny_result.scores(curve.technology, float(curve.pitch_um[best_place(curve)]), 1)
-    views = study_views(tiny_result, curve, best)
+    (score,) = tiny_result.scores(curve.technology, float(curve.pitch_um[best_place(curve)]), 1)
+    ideal, image = (np.kron(picture, np.ones((10, 10))) for picture in (score.ideal, score.image))
+    large: Any = SimpleNamespace(ideal=ideal, image=image, delta_e=score.delta_e, physics=score.physics)
+    of_result = {"study": tiny_result.study, "curves": tiny_result.curves, "shown_scores": lambda *_: [large]}
+    result: Any = SimpleNamespace(**of_result, shown_part=lambda technology, pitch_um, part: part(image))
+    views = study_views(result, curve, large)
     assert views.factor == 2
-    means = best.ideal.reshape(59, 2, 59, 2).mean(axis=(1, 3))
-    np.testing.assert_array_equal(decoded(views.ideal.png), display_codes(means))
-    assert {(item.width, item.height) for item in views.outputs} == {(59, 59)}
-    assert {(item.width, item.height) for item in views.tiles} == {(112, 112)}
+    for shown, whole in zip((views.ideal, *views.outputs), (score.ideal, *[score.image] * len(views.outputs)), strict=True):
+        np.testing.assert_array_equal(decoded(shown.png), display_codes(np.kron(whole, np.ones((5, 5)))))
+    assert {(item.width, item.height) for item in views.tiles} == {(1120, 1120)}, "details stay as they are"
 
 
 @pytest.mark.parametrize("raster", ["fixed_size", pytest.param("one_to_one", marks=pytest.mark.slow)])
@@ -172,8 +154,8 @@ def test_study_views_match_scores(raster: str, tmp_path: Path) -> None:
     finest = max((score.ideal for score in scores), key=lambda item: item.size)
     window = window_at((0.9, 0.9), finest.shape)
     assert views.place == window.centre
-    pictures = [finest, *(score.image for score in scores)]
-    for tile, picture in zip(views.tiles, pictures, strict=True):
+    shown = [finest, *(score.image for score in scores)]
+    for tile, picture in zip(views.tiles, shown, strict=True):
         np.testing.assert_array_equal(decoded(tile.png), display_codes(window.of(picture)))
     for tile, pitch_um, delta_e in zip(views.tiles[1:], curve.pitch_um, curve.delta_e, strict=True):
         assert tile.name == f"{pitch_um:.2f} µm"
@@ -216,7 +198,7 @@ def test_crops_show_the_same_part(tiny_result: StudyResult) -> None:
 
 @pytest.mark.parametrize("end", [1.0, 10.0])
 def test_scale_matches_map_colours(end: float) -> None:
-    bar = decoded(scale(end).png)
+    bar = decoded(pictures.scale(end).png)
     expected = delta_e_colours((np.arange(bar.shape[1]) / bar.shape[1] * end)[None], end)[0]
     np.testing.assert_array_equal(bar[0], expected)
 
@@ -226,22 +208,25 @@ def test_scale_matches_map_colours(end: float) -> None:
 
 def test_contact_sheet_png_holds_tiles() -> None:
     rng = np.random.default_rng(1)
-    tiles = [Picture(rng.integers(0, 255, (112, 112)).astype(np.uint8), f"{n} µm", "mean ΔE 1", n == 3) for n in range(COLUMNS + 2)]
-    sheet = decoded(contact_sheet_png("a title", tiles))
+    tiles = [
+        Picture(rng.integers(0, 255, (112, 112)).astype(np.uint8), f"{n} µm", "mean ΔE 1", n == 3)
+        for n in range(pictures.COLUMNS + 2)
+    ]
+    sheet = decoded(pictures.contact_sheet_png("a title", tiles))
     for number, tile in enumerate(tiles):
-        x = MARGIN + number % COLUMNS * (112 + GAP)
-        y = MARGIN + TITLE + number // COLUMNS * (112 + 2 * 19 + GAP)
+        x = pictures.SHEET_MARGIN + number % pictures.COLUMNS * (112 + pictures.SHEET_GAP)
+        y = pictures.SHEET_MARGIN + pictures.TITLE + number // pictures.COLUMNS * (112 + 2 * 19 + pictures.SHEET_GAP)
         np.testing.assert_array_equal(sheet[y : y + 112, x : x + 112], tile.codes)
         framed = (sheet[y : y + 112, x - 2] == 0).all()
         assert framed == tile.best
-    assert contact_sheet_png("a title", tiles) == contact_sheet_png("a title", tiles)
+    assert pictures.contact_sheet_png("a title", tiles) == pictures.contact_sheet_png("a title", tiles)
 
 
 @pytest.mark.parametrize("title", ["two\nlines\tand \x1b[31m", "n" * 5000, "\u202e", ""])
 def test_contact_sheet_png_long_title_is_bounded(title: str) -> None:
     tiles = [Picture(np.zeros((112, 112), np.uint8), "2 µm", "mean ΔE 1")] * 2
-    sheet = decoded(contact_sheet_png(title, tiles))
-    assert sheet.shape[0] == decoded(contact_sheet_png("plain", tiles)).shape[0]
+    sheet = decoded(pictures.contact_sheet_png(title, tiles))
+    assert sheet.shape[0] == decoded(pictures.contact_sheet_png("plain", tiles)).shape[0]
     assert sheet.shape[1] < 2500
 
 
