@@ -78,21 +78,18 @@ def test_shares_and_steps_add_up_to_all_of_the_work() -> None:
 
 
 def test_lines_stage_without_progress_lives(told: tuple[Lines, Clock, list[str]]) -> None:
+    """And without a stage nothing is said."""
     lines, clock, written = told
+    clock.now += 100
+    lines.tick()
+    assert written == []
     lines.begin("evaluate")
     lines.update(0.9)
     lines.end()
     lines.begin("write")
     clock.now += 10
     lines.tick()
-    assert written[-1] == "[10 s] write …"
-
-
-def test_lines_without_stage_say_nothing(told: tuple[Lines, Clock, list[str]]) -> None:
-    lines, clock, written = told
-    clock.now += 100
-    lines.tick()
-    assert written == []
+    assert written[-1] == "[110 s] write …"
 
 
 def test_stages_without_terminal_tick_while_nothing_is_reported(
