@@ -84,7 +84,7 @@ def test_each_command_is_here() -> None:
 def test_no_module_of_the_current_folder_is_run(folder: Path) -> None:
     """Of any name of the standard library and of the packages that are installed; by a child that renders, and by workers."""
     log = plant(folder, NAMES)
-    for name in ("run", "study"):
+    for name in ("run", "compare"):
         run(name, folder, PYTHONPATH=HOME)
     assert not log.exists(), log.read_text()
 
@@ -93,7 +93,7 @@ def test_no_module_of_the_current_folder_is_run(folder: Path) -> None:
 def test_no_module_of_the_current_folder_is_run_by_any_command(folder: Path) -> None:
     log = plant(folder, NAMES)
     for name in COMMANDS:
-        if name != "study":  # in the test before, as is `run`, whose frame `sfr` takes
+        if name != "compare":  # in the test before, as is `run`, whose frame `sfr` takes
             run(name, folder, PYTHONPATH=HOME)
     assert not log.exists(), log.read_text()
 

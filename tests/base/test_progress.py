@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import sys
 
 import pytest
 
@@ -79,27 +78,24 @@ def test_shares_and_steps_add_up_to_all_of_the_work() -> None:
 
 
 def test_lines_stage_without_progress_lives(told: tuple[Lines, Clock, list[str]]) -> None:
+    """And without a stage nothing is said."""
     lines, clock, written = told
+    clock.now += 100
+    lines.tick()
+    assert written == []
     lines.begin("evaluate")
     lines.update(0.9)
     lines.end()
     lines.begin("write")
     clock.now += 10
     lines.tick()
-    assert written[-1] == "[10 s] write …"
+    assert written[-1] == "[110 s] write …"
 
 
-def test_lines_without_stage_say_nothing(told: tuple[Lines, Clock, list[str]]) -> None:
-    lines, clock, written = told
-    clock.now += 100
-    lines.tick()
-    assert written == []
-
-
-def test_stages_without_terminal_tick_while_nothing_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stages_without_terminal_tick_while_nothing_is_reported(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The thread looks at the clock by itself; the stage ends when its line has come."""
-    stream = io.StringIO()
-    monkeypatch.setattr(sys, "stderr", stream)
     monkeypatch.setattr(progress, "EVERY_S", 0.0)
     monkeypatch.setattr(progress, "LOOK_S", 0.001)
     ticked, tick = progress.threading.Event(), Lines.tick
@@ -113,31 +109,28 @@ def test_stages_without_terminal_tick_while_nothing_is_reported(monkeypatch: pyt
         stage("render")
         ticked.clear()
         assert ticked.wait(60)
-    written = stream.getvalue().splitlines()
+    written = capsys.readouterr().err.splitlines()
     assert written[:2] == ["[0 s] render …"] * 2
     assert written[-1].startswith("[0 s] render: done in ")
 
 
 @pytest.mark.parametrize("quiet", [False, True])
-def test_stages_quiet_says_nothing(quiet: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    stream, seconds = io.StringIO(), dict[str, float]()
-    monkeypatch.setattr(sys, "stderr", stream)
+def test_stages_quiet_says_nothing(quiet: bool, capsys: pytest.CaptureFixture[str]) -> None:
+    seconds: dict[str, float] = {}
     with stages(seconds, quiet) as stage:
         stage("render")(0.5)
         stage("report")
-    assert bool(stream.getvalue()) != quiet
+    assert bool(capsys.readouterr().err) != quiet
     assert set(seconds) == {"render", "report"}
 
 
-def test_stages_failure_claims_no_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    stream = io.StringIO()
-    monkeypatch.setattr(sys, "stderr", stream)
+def test_stages_failure_claims_no_end(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(KeyboardInterrupt), stages() as stage:
         raise KeyboardInterrupt(stage("render"))
-    assert stream.getvalue() == "[0 s] render …\n"
+    assert capsys.readouterr().err == "[0 s] render …\n"
 
 
-def test_stages_reader_is_gone_command_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stages_reader_is_gone_command_goes_on() -> None:
     stream = io.StringIO()
     stream.close()
     with stages(quiet=True):

@@ -6,7 +6,6 @@ import json
 import os
 import re
 from dataclasses import dataclass
-from functools import cache as once
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -78,17 +77,12 @@ def written(root: Path, files: dict[str, str]) -> Path:
     return root
 
 
-@once
-def healthy() -> Visit:
-    return visit()
-
-
 # --- This machine ---
 
 
 @pytest.mark.slow  # ten seconds of imports; the parts of a visit are tested one by one
 def test_doctor_working_machine_has_no_problems():
-    visited = healthy()
+    visited = visit()
     assert (visited.code, visited.result["ok"], visited.problems) == (0, True, [])
     assert visited.picture["mark"] == OK
     facts = visited.picture["facts"]
@@ -101,16 +95,10 @@ def test_doctor_working_machine_has_no_problems():
     assert None not in versions.values()
     assert "llvm_ad_spectral" in visited.about("compiled in")["facts"]["variants"]
     assert visited.about("scalar_spectral", "Mitsuba")["mark"] == OK
-
-
-@pytest.mark.slow  # the same visit
-def test_doctor_reports_library_used_by_mitsuba():
-    facts = healthy().picture["facts"]
-    if facts["llvm"] is None:
-        pytest.skip("no usable LLVM here")
-    used = [finding for finding in healthy().result["findings"] if finding["found"].endswith(", used")]
-    assert [finding["facts"]["path"] for finding in used] == [facts["llvm"]]
-    assert os.path.realpath(facts["llvm"]) in facts["mapped_llvm"]
+    # The library that Mitsuba uses is the one that is said to be in use.
+    used = [finding["facts"]["path"] for finding in visited.result["findings"] if finding["found"].endswith(", used")]
+    assert used == [facts["llvm"]] * (facts["llvm"] is not None)
+    assert facts["llvm"] is None or os.path.realpath(facts["llvm"]) in facts["mapped_llvm"]
 
 
 def test_closed_form_lx_matches_hand_calculation():
@@ -126,19 +114,6 @@ def test_closed_form_lx_matches_hand_calculation():
 
 
 # --- LLVM ---
-
-
-@pytest.mark.skipif(not OLD_LLVM, reason="no LLVM 14 or 15 on this system")
-@pytest.mark.slow  # a whole visit; test_llvm_invalid_variable_is_problem looks at the libraries alone
-@pytest.mark.parametrize("path", OLD_LLVM)
-def test_doctor_old_llvm_in_variable_is_problem(path: str, tmp_path: Path):
-    """test_variant checks that `pixsim run` rejects it."""
-    visited = visit(**{variant.LLVM_VARIABLE: path})
-    assert visited.code == 1
-    assert visited.problems == [variant.LLVM_VARIABLE, "Mitsuba"]
-    assert "version 15 or older" in visited.about(variant.LLVM_VARIABLE)["found"]
-    assert {visited.about(variant.LLVM_VARIABLE)["mend"], visited.picture["mend"]} == {"unset DRJIT_LIBLLVM_PATH"}
-    assert visited.about("scalar_spectral")["mark"] == OK
 
 
 @pytest.mark.slow
@@ -160,27 +135,14 @@ def test_doctor_old_libraries_no_home_no_cache_gives_notes(tmp_path: Path):
     assert "rendering with scalar_spectral, since no LLVM 17" in picture.err
 
 
-@pytest.mark.parametrize(
-    ("kind", "word"),
-    [
-        ("gone", "no such file"),
-        ("text", "no library"),
-        ("folder", "a folder"),
-        pytest.param(
-            "old", "version 15 or older", marks=pytest.mark.skipif(not OLD_LLVM, reason="no LLVM 14 or 15 on this system")
-        ),
-    ],
-)
-def test_llvm_invalid_variable_is_problem(kind: str, word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    (tmp_path / "text").write_text("no library")
-    (tmp_path / "folder").mkdir()
-    (tmp_path / "old").symlink_to(OLD_LLVM[-1] if OLD_LLVM else "nothing")
-    monkeypatch.setenv(variant.LLVM_VARIABLE, str(tmp_path / kind))
+def test_llvm_invalid_variable_is_problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """`test_find_llvm_unusable_variable_raises` has all kinds."""
+    monkeypatch.setenv(variant.LLVM_VARIABLE, str(tmp_path / "gone"))
     libraries = trial.attempt("libraries", limit_s=HANG_S)
     findings = doctor._llvm(libraries, doctor.usable_llvm(libraries))
     (finding,) = (finding for finding in findings if finding.subject == variant.LLVM_VARIABLE)
     assert (finding.mark, finding.mend) == (PROBLEM, "unset DRJIT_LIBLLVM_PATH")
-    assert word in finding.found
+    assert "no such file" in finding.found
     assert doctor.usable_llvm(libraries) is None  # no fallback: `pixsim run` raises an error
 
 

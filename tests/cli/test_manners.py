@@ -59,8 +59,9 @@ def test_run_invalid_files_reports_all_errors(tmp_path: Path) -> None:
 def test_main_exception_sets_exit_code(failure: BaseException, code: int, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Codes 0 and 2 are checked in other tests."""
     monkeypatch.setattr("pixsim.studies.run.prepare", Mock(side_effect=failure))
-    assert command("run csf")[:2] == (code, "")
-    assert command("run csf")[2].startswith(f"pixsim: {message}")
+    found, out, err = command("run csf")
+    assert (found, out) == (code, "")
+    assert err.startswith(f"pixsim: {message}")
     assert "Traceback" in command("run csf --verbose")[2]
 
 
