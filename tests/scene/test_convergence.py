@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import signal
 import time
 import tracemalloc
 from collections.abc import Callable
@@ -27,6 +29,7 @@ from pixsim.scene.convergence import (
     render_until,
     without_clock,
 )
+from pixsim.scene.guard import child
 from pixsim.scene.job import OutOfTimeError
 from pixsim.scene.plan import make_plan
 from pixsim.scene.renderer import LEVEL_FACTOR, Renderer
@@ -278,8 +281,10 @@ def test_render_until_pair_without_time_is_left_out(monkeypatch, stuck):
 
 
 def test_render_until_time_for_no_picture_raises():
-    """A packaged scene ends with its time, too; without a picture that is an error."""
-    scene, camera, plan = prepared("macbeth", resolution=512, spp=1024)
+    """A packaged scene ends with its time, too; without a picture that is an error. Its child does not answer here."""
+    scene, camera, plan = prepared()
+    Renderer(scene, camera, plan, 0, ends_at_s=math.inf).tracer.sample_count(plan.sampler, plan.spp)
+    os.kill(child._child.process.pid, signal.SIGSTOP)
     start = time.monotonic()
     with pytest.raises(OutOfTimeError, match=r"max_seconds: got a limit in which Mitsuba does not finish.*Raise it"):
         render_until(scene, camera, plan, [PIXEL], pixsim.Exposure(), max_seconds=1e-3)
@@ -347,7 +352,7 @@ def test_render_until_progress_goes_on_to_the_end():
 
 
 def test_render_until_header_has_noise_and_plan(tmp_path):
-    small = "--variant scalar_spectral --resolution 64 -D spp=64 --display.dots 64 --pixel.pitch-um 21.2"
+    small = "--variant scalar_spectral --resolution 32 -D spp=64 --display.dots 32 --pixel.pitch-um 42.4"
     run = f"run csf {small} --json --out {tmp_path}"
     code, out, err = command(run)
     assert (code, err) == (0, "")
