@@ -657,7 +657,7 @@ def test_killed_parent_leaves_no_child(tmp_path):
     arguments = [sys.executable, "-c", BUSY, str(here), str(here / "helpers"), str(tmp_path)]
     parent = subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True, cwd=here)
     process = int(parent.stdout.readline())
-    time.sleep(0.5)  # it is at work now
+    time.sleep(0.1)  # it is at work now
     assert is_running(process)
     parent.kill()
     parent.wait()

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from functools import cache
 from importlib import resources
 from pathlib import Path
 
 
+@cache
 def packaged_folder() -> Path:
     """Return the folder, in the wheel or in a checkout. A scene elsewhere may name its files: `spectra/led_850nm.spd`."""
     root = Path(str(resources.files("pixsim")))

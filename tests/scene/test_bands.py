@@ -534,10 +534,10 @@ def furnace(mi: Any, responses: list[dict[str, Any]], spp: int = 16) -> np.ndarr
     return np.asarray(mi.render(mi.load_dict(described), integrator=integrator, spp=spp, seed=1), float)
 
 
-@VARIANTS
 @pytest.mark.parametrize(
     "name", ["fl11", pytest.param("laser_532nm", marks=pytest.mark.slow), "a band and its repeat", "fine lines"]
 )
+@VARIANTS  # the slowest to change: Mitsuba loads itself again
 def test_render_pulses_add_no_spectral_noise(name, variant):
     if name == "a band and its repeat":
         lamp = spectrum([366, 367, 443 + 10, 444 + 10], [0, 1, 1, 0])  # nine bands: the last pass has three

@@ -6,22 +6,32 @@ import re
 import shutil
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from helpers.commands import command
-from helpers.edits import edited
+from helpers.edits import VARIANT, edited
 
 import pixsim
 from pixsim.base import cache
 from pixsim.base.cache import LIMIT_VARIABLE
 from pixsim.base.files import FOLDER_VARIABLE
+from pixsim.base.progress import no_stage
 from pixsim.scene import convergence, renderer
 from pixsim.scene.convergence import render_until
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import CachedRenders, Renderer
+from pixsim.studies import preparation
+from pixsim.studies.lights import render_for
+from pixsim.studies.run import light_run, prepare
+from pixsim.studies.study_file import load_study
+from pixsim.viewer.merging import merge
+from pixsim.viewer.setting import Run
 
-RUN = "run {scene} --variant scalar_spectral --resolution 32 -D spp=4 --display.dots 32 --config {out}.toml --out {out}"
+# Two renders are enough.
+TABLES = {"render_noise": 100.0, "resolution": 32, "pixel": {"pitch_um": 84.8}, "display": {"dots": 32}, "scene": {"spp": 4}}
+RUN = f"run csf --variant {VARIANT} --resolution 32 -D spp=4 --display.dots 32 --render-noise 100 --pixel.pitch-um 84.8 --out"
 
 
 @pytest.fixture(autouse=True)
@@ -44,12 +54,11 @@ def rendered(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return result
 
 
-def run(out: Path, options: str = "", scene: str | Path = "csf") -> dict[str, bytes]:
+def run(out: Path) -> dict[str, bytes]:
     """Return the bytes of all files of a run, without its times."""
-    out.with_suffix(".toml").write_text("render_noise = 100\npixel.pitch_um = 84.8", encoding="utf-8")  # two renders are enough
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        code, _, err = command(f"{RUN.format(scene=scene, out=out)} {options}")
+        code, _, err = command(RUN, out)
     assert code == 0, err
     return {path.name: path.read_bytes() for path in out.iterdir() if path.name != "provenance.json"}
 
@@ -67,28 +76,37 @@ def test_render_cache_empty_warm_or_off_gives_equal_bytes(tmp_path, rendered, mo
     assert len(cold) == 9
 
 
-def test_render_damaged_cache_gives_equal_bytes(tmp_path, folder, rendered):
-    cold = run(tmp_path / "out")
+def lit(path: str | Path = "csf", full: bool = False, **more: Any) -> tuple[bytes, str]:
+    """Return the light of a run, bit for bit, and its header."""
+    settings = Run.model_validate(merge(TABLES, more))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        light = light_run(prepare(str(path), settings, full=full, variant=VARIANT), no_stage).irradiance
+    return light.planes.tobytes(), repr(light.header)
+
+
+def test_render_damaged_cache_gives_equal_bytes(folder, rendered):
+    cold = lit()
     path = sorted(folder.glob("render/*.npz"))[1]
     whole = bytearray(path.read_bytes())
     whole[len(whole) // 2] ^= 1
     path.write_bytes(whole)
-    assert run(tmp_path / "out") == cold
-    assert rendered == [0, 1, 1]
-    assert run(tmp_path / "out") == cold
-    assert rendered == [0, 1, 1]
+    for _ in range(2):
+        assert lit() == cold
+        assert rendered == [0, 1, 1]
 
 
-def test_cached_renders_several_lights_are_restored(tmp_path, rendered):
-    first = run(tmp_path / "out", scene="macbeth")
+def test_cached_renders_several_lights_are_restored(rendered):
+    first = lit("macbeth")
     count = len(rendered)
-    assert run(tmp_path / "out", scene="macbeth") == first
+    assert lit("macbeth") == first
     assert len(rendered) == count > 0
 
 
-AGAIN = ["--seed 1", "--camera.f-number 8", "-D spp=64", "-D emitter_scale=0.02", "--full"]
-UNRELATED = ["--pixel.pitch-um 60", "--pixel.well-limit swing --exposure.integration-s 0.01"]
-UNRELATED += ["--display.gamma 1.8 --display.white-cd-per-m2 800"]
+AGAIN: list[dict[str, Any]] = [{"seed": 1}, {"camera": {"f_number": 8}}]
+AGAIN += [{"scene": {"spp": 64}}, {"scene": {"emitter_scale": 0.02}}, {"full": True}]
+UNRELATED = [{"pixel": {"pitch_um": 60}}, {"pixel": {"well_limit": "swing"}, "exposure": {"integration_s": 0.01}}]
+UNRELATED += [{"display": {"gamma": 1.8, "white_cd_per_m2": 800}}]
 
 
 @pytest.fixture(scope="module")
@@ -97,71 +115,66 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("first")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(FOLDER_VARIABLE, str(folder / "kept"))
-        run(folder / "out")
+        lit()
     return folder / "kept"
 
 
 @pytest.mark.parametrize(
-    "option", [*AGAIN[:2], *(pytest.param(option, marks=pytest.mark.slow) for option in AGAIN[2:]), *UNRELATED]
+    "option", [*AGAIN[:2], *(pytest.param(option, marks=pytest.mark.slow) for option in AGAIN[2:]), *UNRELATED], ids=str
 )
-def test_render_cache_ignores_unrelated_settings(option, tmp_path, folder, kept, rendered):
+def test_render_cache_ignores_unrelated_settings(option, folder, kept, rendered):
     shutil.copytree(kept, folder)
-    run(tmp_path / "other", option)
+    lit(**option)
     assert bool(rendered) == (option in AGAIN)
 
 
-def test_render_cache_lower_noise_extends_runs(tmp_path, rendered):
-    run(tmp_path / "out", "-D spp=4")
-    run(tmp_path / "out", "-D spp=4 --render-noise 2")
+def test_render_cache_lower_noise_extends_runs(rendered):
+    lit()
+    lit(render_noise=2)
     assert rendered == list(range(len(rendered)))
     assert len(rendered) > 2
 
 
 def test_render_cache_edited_texture_renders_again(tmp_path, rendered):
     pixsim.write_chart(tmp_path / "mine.exr", np.full((4, 4), 0.5, np.float32))
-    path = edited(tmp_path, "flat")
-    option = f"-D chart={tmp_path / 'mine.exr'}"
-    first = run(tmp_path / "out", option, path)
+    path, chart = edited(tmp_path, "flat"), {"chart": str(tmp_path / "mine.exr")}
+    first = lit(path, scene=chart)
     pixsim.write_chart(tmp_path / "mine.exr", np.full((4, 4), np.nextafter(np.float32(0.5), 1), np.float32))
     count = len(rendered)
-    assert run(tmp_path / "out", option, path) != first
+    assert lit(path, scene=chart) != first
     assert len(rendered) == 2 * count
     pixsim.write_chart(tmp_path / "mine.exr", np.full((4, 4), 0.5, np.float32))
-    assert run(tmp_path / "out", option, path) == first
+    assert lit(path, scene=chart) == first
     assert len(rendered) == 2 * count
 
 
 def test_render_cache_edited_scene_renders_again(tmp_path, rendered):
     path = edited(tmp_path, "csf")
-    run(tmp_path / "out", scene=path)
+    lit(path)
     count = len(rendered)
     text = path.read_text(encoding="utf-8")
     path.write_text(re.sub('<rotate y="1" angle="180"/>', '<rotate y="1" angle="180.0001"/>', text), encoding="utf-8")
-    run(tmp_path / "out", scene=path)
+    lit(path)
     assert len(rendered) == 2 * count
 
 
 @pytest.mark.parametrize("package", ["pixsim", "mitsuba", "drjit"])
-def test_render_cache_other_version_renders_again(package, tmp_path, folder, kept, rendered, monkeypatch):
+def test_render_cache_other_version_renders_again(package, folder, kept, rendered, monkeypatch):
     shutil.copytree(kept, folder)
     real = cache.version_fingerprint
     monkeypatch.setattr(cache, "version_fingerprint", lambda *names: real(*names).replace(f"{package} ", f"{package} 99."))
-    run(tmp_path / "out")
+    lit()
     assert rendered == [0, 1]
 
 
-def test_render_cache_is_shared_by_studies(tmp_path, rendered):
-    from pixsim.studies.lights import render_for
-    from pixsim.studies.preparation import prepare
-    from pixsim.studies.study_file import load_study
-
+def test_render_cache_is_shared_by_studies(rendered):
     plan = load_study("chen2000")
     # Samples that are asked for: else the cells of the chart are computed.
     scene = plan.scene.model_copy(update={"parameters": {**plan.scene.parameters, "spp": 16}})
     small = plan.model_copy(update={"render_noise": 10.0, "resolution": 32, "scene": scene})
-    first = render_for(prepare(small, "scalar_spectral").cases[0]).image
+    first = render_for(preparation.prepare(small, VARIANT).cases[0]).image
     count = len(rendered)
-    again = render_for(prepare(small.model_copy(update={"repeats": 3}), "scalar_spectral").cases[0]).image
+    again = render_for(preparation.prepare(small.model_copy(update={"repeats": 3}), VARIANT).cases[0]).image
     assert len(rendered) == count > 0
     assert np.array_equal(first.factors[1], again.factors[1])
     assert first.header == again.header

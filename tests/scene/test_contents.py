@@ -360,9 +360,9 @@ INDEX = {
 }
 
 
-@VARIANTS
 @pytest.mark.parametrize("given", INDEX)
 @pytest.mark.parametrize("plugin", ["conductor", "roughconductor"])
+@VARIANTS  # the slowest to change: Mitsuba loads itself again
 def test_find_surfaces_metal_index_obeys_fresnel(given, plugin, variant, tmp_path):
     result = spectra(tmp_path, bsdf(plugin, INDEX[given]), variant=variant)
     eta, k = ramp(0.2, 1.2), ramp(3, 2)

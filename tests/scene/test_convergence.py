@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import signal
 import time
 import tracemalloc
 from collections.abc import Callable
@@ -27,6 +29,7 @@ from pixsim.scene.convergence import (
     render_until,
     without_clock,
 )
+from pixsim.scene.guard import child
 from pixsim.scene.job import OutOfTimeError
 from pixsim.scene.plan import make_plan
 from pixsim.scene.renderer import LEVEL_FACTOR, Renderer
@@ -111,16 +114,24 @@ def test_pictures_in_files_are_the_same(name: str, monkeypatch: pytest.MonkeyPat
 
 
 class Noisy:
-    """Replacement for renders: a grey picture with noise whose variance is proportional to 1/samples."""
+    """Replacement for renders: a grey picture with noise whose variance is proportional to 1/samples.
+
+    clock_s : one second per sample
+    stuck : run that the time limit finds unfinished
+    """
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, relative: float) -> None:
         self.levels: list[int] = []
+        self.clock_s, self.stuck = 0.0, -1
         monkeypatch.setattr(Renderer, "run", self.run)
         self.relative = relative
 
     def run(self, index: int, progress: Callable[[float], None] | None = None, level: int = 0):
+        if index == self.stuck:
+            raise OutOfTimeError("unfinished")
         spp = int(4 * LEVEL_FACTOR ** max(0, level))
         self.levels.append(level)
+        self.clock_s += spp
         rng = np.random.default_rng([index, max(0, level)])
         noise = rng.standard_normal((32, 32, 1)) * self.relative / np.sqrt(spp)
         return [0.5 * (1 + noise)], spp
@@ -243,18 +254,10 @@ def test_render_until_time_limit_warns(monkeypatch):
 def test_render_until_next_pair_over_time_is_skipped(monkeypatch):
     """With one second per sample, a level is raised only if four times the last pair still fits."""
     renders = Noisy(monkeypatch, 0.1)
-    clock = [0.0]
-    run = renders.run
-
-    def slow(job, index, progress=None, level=0):
-        clock[0] += 4 * LEVEL_FACTOR ** max(0, level)
-        return run(index, progress, level)
-
-    monkeypatch.setattr(Renderer, "run", slow)
-    monkeypatch.setattr(convergence.time, "perf_counter", lambda: clock[0])
+    monkeypatch.setattr(convergence.time, "perf_counter", lambda: renders.clock_s)
     with pytest.warns(UserWarning, match="Raise --max-seconds"):
         until(1e-6, max_seconds=100)
-    assert clock[0] <= 100 + 2 * 4 * LEVEL_FACTOR
+    assert renders.clock_s <= 100 + 2 * 4 * LEVEL_FACTOR
     assert max(renders.levels) == 1
 
 
@@ -263,14 +266,7 @@ def test_render_until_pair_without_time_is_left_out(monkeypatch, stuck):
     """What the time limit finds unfinished leaves the picture of the pairs before it, also where half of a pair is done."""
     renders = Noisy(monkeypatch, 0.1)
     expected, of_pair = until(LOOSE, max_seconds=9)
-    run = renders.run
-
-    def out_of_time(job, index, progress=None, level=0):
-        if index == stuck:
-            raise OutOfTimeError("unfinished")
-        return run(index, progress, level)
-
-    monkeypatch.setattr(Renderer, "run", out_of_time)
+    renders.stuck = stuck
     with pytest.warns(UserWarning, match="the time limit of 9 s"):
         image, noise = until(1e-6, max_seconds=9)
     np.testing.assert_array_equal(image.factors[1], expected.factors[1])
@@ -278,8 +274,10 @@ def test_render_until_pair_without_time_is_left_out(monkeypatch, stuck):
 
 
 def test_render_until_time_for_no_picture_raises():
-    """A packaged scene ends with its time, too; without a picture that is an error."""
-    scene, camera, plan = prepared("macbeth", resolution=512, spp=1024)
+    """A packaged scene ends with its time, too; without a picture that is an error. Its child does not answer here."""
+    scene, camera, plan = prepared()
+    Renderer(scene, camera, plan, 0, ends_at_s=math.inf).tracer.sample_count(plan.sampler, plan.spp)
+    os.kill(child._child.process.pid, signal.SIGSTOP)
     start = time.monotonic()
     with pytest.raises(OutOfTimeError, match=r"max_seconds: got a limit in which Mitsuba does not finish.*Raise it"):
         render_until(scene, camera, plan, [PIXEL], pixsim.Exposure(), max_seconds=1e-3)
@@ -347,7 +345,9 @@ def test_render_until_progress_goes_on_to_the_end():
 
 
 def test_render_until_header_has_noise_and_plan(tmp_path):
-    small = "--variant scalar_spectral --resolution 64 -D spp=64 --display.dots 64 --pixel.pitch-um 21.2"
+    small = (
+        "--variant scalar_spectral --resolution 32 -D spp=64 --display.dots 32 --pixel.pitch-um 42.4 --exposure.integration-s 1e-3"
+    )
     run = f"run csf {small} --json --out {tmp_path}"
     code, out, err = command(run)
     assert (code, err) == (0, "")
@@ -360,7 +360,7 @@ def test_render_until_header_has_noise_and_plan(tmp_path):
     for name, value in message["render_noise"].items():
         assert header["render_noise"][name] == (value if isinstance(value, str) else pytest.approx(value, rel=1e-5))
     assert len(header["plan"]) == len(message["plan"]["decisions"])
-    target = 8 * message["render_noise"]["fraction"]  # not a lower one, which takes longer
+    target = 20 * message["render_noise"]["fraction"]  # not a lower one, which takes longer
     code, out, _ = command(f"{run} --render-noise {target} -D spp=4")
     looser = json.loads(out)
     assert code == 0

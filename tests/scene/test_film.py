@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -30,6 +31,7 @@ from pixsim.viewer.display_options import Display
 LANDSCAPE, PORTRAIT = Camera(die_height_mm=1.8), Camera(die_mm=1.8, die_height_mm=2.7136)
 
 
+@cache
 def chart_on(name: str, camera: Camera, width: int = 96) -> Array:
     """Illuminance of a packaged chart on a die, without the fall-off of the lens, over its largest value."""
     image = pixsim.render(load(name, spp=16).with_resolution(width), camera)

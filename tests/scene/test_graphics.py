@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import sys
 import warnings
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -113,26 +114,32 @@ def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Machine:
     return Machine(tmp_path, monkeypatch)
 
 
+PROCESSORS = variant.ChosenVariant("llvm_ad_spectral", "lib", "system, LLVM 19")
+
+
 @pytest.fixture
-def fresh(monkeypatch: pytest.MonkeyPatch):
+def fresh(monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]:
     variant.choose.cache_clear()
     yield monkeypatch
     variant.choose.cache_clear()
 
 
+@pytest.fixture
+def with_llvm(fresh: pytest.MonkeyPatch) -> None:
+    fresh.setattr(variant, "_for_processors", lambda _: (PROCESSORS, ""))
+
+
 # --- A machine without a card ---
 
 
+@pytest.mark.usefixtures("with_llvm")
 def test_machine_without_card_starts_nothing(fresh: pytest.MonkeyPatch, tmp_path: Path):
     """No process, and no library: what is left are two looks at the file system."""
     fresh.setattr(graphics, "NODES", (str(tmp_path / "nvidiactl"),))
     fresh.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("started a process"))
     fresh.setattr(graphics, "loaded_driver", lambda: pytest.fail("loaded a library"))
     assert graphics.verdict() == graphics.GraphicsTrial(graphics.NO_CARD)
-    fresh.setattr(variant, "_for_processors", lambda _: (variant.ChosenVariant("llvm_ad_spectral", "lib", "system, LLVM 19"), ""))
-    assert variant.choose() == variant.ChosenVariant(
-        "llvm_ad_spectral", "lib", f"system, LLVM 19; no graphics card: {graphics.NO_CARD}"
-    )
+    assert variant.choose() == replace(PROCESSORS, reason=f"{PROCESSORS.reason}; no graphics card: {graphics.NO_CARD}")
 
 
 def test_machine_without_driver_starts_nothing(fresh: pytest.MonkeyPatch, tmp_path: Path):
@@ -324,26 +331,25 @@ def test_doctor_tries_again(machine: Machine):
 # --- The choice ---
 
 
-def test_choose_prefers_card_and_reads_on_processors(machine: Machine, fresh: pytest.MonkeyPatch):
-    processors = variant.ChosenVariant("llvm_ad_spectral", "lib", "system, LLVM 19")
-    fresh.setattr(variant, "_for_processors", lambda _: (processors, ""))
+@pytest.mark.usefixtures("machine", "with_llvm")
+def test_choose_prefers_card_and_reads_on_processors():
     with pytest.warns(UserWarning, match="passed"):
         chosen = variant.choose()
-    assert chosen == variant.ChosenVariant("cuda_ad_spectral", "lib", f"{CARD} passed its trial", processors)
+    assert chosen == variant.ChosenVariant("cuda_ad_spectral", "lib", f"{CARD} passed its trial", PROCESSORS)
     assert chosen.reading == "llvm_ad_spectral"
-    assert variant.choose("llvm_ad_spectral") == processors
+    assert variant.choose("llvm_ad_spectral") == PROCESSORS
     assert variant.choose("scalar_spectral").variant == "scalar_spectral"
     asked = variant.choose("cuda_ad_spectral")
     assert (asked.variant, asked.reading, asked.asked) == ("cuda_ad_spectral", "llvm_ad_spectral", True)
 
 
-def test_choose_without_working_card_says_why(machine: Machine, fresh: pytest.MonkeyPatch):
+@pytest.mark.usefixtures("with_llvm")
+def test_choose_without_working_card_says_why(machine: Machine):
     machine.picture = Trial([], 1.0, -6, "")
-    fresh.setattr(variant, "_for_processors", lambda _: (variant.ChosenVariant("llvm_ad_spectral", "lib", "system, LLVM 19"), ""))
     with pytest.warns(UserWarning, match="is not used"):
         chosen = variant.choose()
-    reason = "system, LLVM 19; no graphics card: its trial render fails: dies of signal 6 (SIGABRT)"
-    assert chosen == variant.ChosenVariant("llvm_ad_spectral", "lib", reason)
+    reason = f"{PROCESSORS.reason}; no graphics card: its trial render fails: dies of signal 6 (SIGABRT)"
+    assert chosen == replace(PROCESSORS, reason=reason)
 
 
 def test_choose_without_llvm_takes_card_without_warning(machine: Machine, fresh: pytest.MonkeyPatch):
@@ -388,6 +394,12 @@ class Card:
         return self.own.trace(*arguments)
 
 
+@pytest.fixture
+def card(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
+    """Give children a card that works for so many traces."""
+    return lambda works: monkeypatch.setattr(tracer, "ChildTracer", lambda job, ends_at_s: Card(job, works))
+
+
 def small() -> pixsim.Scene:
     return pixsim.load_scene("flat", variant=VARIANT, resolution=8, spp=4)
 
@@ -396,16 +408,16 @@ def light(choice: variant.ChosenVariant) -> pixsim.SpectralImage:
     return pixsim.render(replace(small(), choice=choice))
 
 
-def test_packaged_scene_is_traced_in_child(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(tracer, "ChildTracer", lambda job, ends_at_s: Card(job, 99))
+def test_packaged_scene_is_traced_in_child(card: Callable[[int], None]):
+    card(99)
     image, known = light(CHOSEN), light(variant.choose(VARIANT))
     assert (image.header["variant"], known.header["variant"]) == ("cuda_ad_spectral", VARIANT)
     np.testing.assert_array_equal(image.illuminance_lx(), known.illuminance_lx())
 
 
-def test_rows_of_a_study_are_of_one_variant(monkeypatch: pytest.MonkeyPatch):
+def test_rows_of_a_study_are_of_one_variant(card: Callable[[int], None]):
     """A study that goes on where another variant traces evaluates anew, though the pictures are equal here."""
-    monkeypatch.setattr(tracer, "ChildTracer", lambda job, ends_at_s: Card(job, 99))
+    card(99)
 
     def keys(choice: variant.ChosenVariant) -> set[str]:
         (series,) = series_of(tiny(), scenes_of(tiny(), light(choice), small().camera()))
@@ -416,8 +428,8 @@ def test_rows_of_a_study_are_of_one_variant(monkeypatch: pytest.MonkeyPatch):
     assert keys(CHOSEN) == of_card
 
 
-def test_failing_card_leaves_to_processors(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(tracer, "ChildTracer", lambda job, ends_at_s: Card(job, 0))
+def test_failing_card_leaves_to_processors(card: Callable[[int], None]):
+    card(0)
     with pytest.warns(UserWarning, match="rendering with scalar_spectral, since the graphics card failed: the card fails"):
         image = light(CHOSEN)
     known = light(variant.choose(VARIANT))
@@ -427,7 +439,7 @@ def test_failing_card_leaves_to_processors(monkeypatch: pytest.MonkeyPatch):
         light(replace(CHOSEN, asked=True))
 
 
-def test_card_that_fails_later_ends_the_render(monkeypatch: pytest.MonkeyPatch):
+def test_card_that_fails_later_ends_the_render():
     """A mean of renders by two variants could not be said to be of either."""
     scene = replace(small(), choice=CHOSEN)
     job = Renderer(scene, scene.camera(), make_render_plan(scene, scene.camera()), 0)
@@ -437,14 +449,14 @@ def test_card_that_fails_later_ends_the_render(monkeypatch: pytest.MonkeyPatch):
         job.run(1)
 
 
-def test_cached_renders_are_of_one_variant(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+def test_cached_renders_are_of_one_variant(card: Callable[[int], None], monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     """Renders of a card and of the processors have own entries, also where the processors take over."""
     monkeypatch.setenv("PIXSIM_CACHE_DIR", str(tmp_path))
     arguments = [pixsim.Pixel(pitch_um=100.0)], pixsim.Exposure()
 
     def kept(works: int, choice: variant.ChosenVariant) -> tuple[str, set[str]]:
         before = set((tmp_path / "render").glob("*"))
-        monkeypatch.setattr(tracer, "ChildTracer", lambda job, ends_at_s: Card(job, works))
+        card(works)
         scene = replace(small(), choice=choice)
         plan = make_render_plan(scene, scene.camera())
         image, _ = render_until(scene, scene.camera(), plan, *arguments, render_noise=10.0, keep=True)

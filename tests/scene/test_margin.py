@@ -61,12 +61,12 @@ CELLS, LARGER, DIE_MM = 48, 96, 0.48  # cells of the picture and of a larger one
 TILING = Tiling(120.0, 210.0, 0.0)
 
 
-def scene_beyond(folder: Path, half_m: float, more: str = "") -> Scene:
+def scene_beyond(folder: Path, half_m: float, more: str = "", **parameters: object) -> Scene:
     """A chart of random squares, much larger than the picture."""
     squares = np.kron(np.random.default_rng(2).uniform(0.1, 1.0, (40, 40)), np.ones((8, 8)))
     write_channels(folder / "chart.exr", {"Y": squares}, {})
     (folder / "scene.xml").write_text(CHART.replace("HALF", f"{half_m}").replace("MORE", more), encoding="utf-8")
-    return load_scene(folder / "scene.xml")
+    return load_scene(folder / "scene.xml", **parameters)
 
 
 def seen(scene: Scene, cells: int, lens: str = "singlet", **options: object) -> tuple[SpectralImage, Camera, Plan]:
@@ -93,7 +93,7 @@ BALL = """
 @pytest.mark.parametrize("more", ["", BALL], ids=["exact cells of a chart", "samples"])
 def test_border_is_that_of_a_larger_picture(tmp_path: Path, more: str) -> None:
     """Blurred with all that lies beyond it, the larger picture is brute force for the smaller one, up to its border."""
-    scene, physics = scene_beyond(tmp_path, 0.1, more), derive(PIXEL)
+    scene, physics = scene_beyond(tmp_path, 0.1, more, spp=64), derive(PIXEL)
     image, camera, plan = seen(scene, CELLS, exact=not more)
     assert (plan.chart is None) == bool(more)
     larger, wide, _ = seen(scene, LARGER, exact=not more)

@@ -160,7 +160,8 @@ def test_read_luminance_hostile_file_raises(name: str, content: bytes | str | No
 
 # --- In a scene ---
 
-LINE = "run csf --variant scalar_spectral --resolution 32 -D spp=4 --display.dots 64 --pixel.pitch-um 60 --irradiance full"
+SMALL = "--variant scalar_spectral --resolution 32 -D spp=4 --render-noise 1 --display.dots 64 --pixel.pitch-um 60"
+LINE = f"run csf {SMALL} --irradiance full"
 
 
 def white_left(path: Path) -> Path:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.edits import END, NEEDS_LLVM, VARIANTS, edited, lens_sr
+from helpers.edits import END, NEEDS_LLVM, VARIANT, VARIANTS, edited, lens_sr
 from helpers.lamps import D65_LUMINANCE, d65_radiance
 from helpers.processes import HANG_S
 
@@ -45,8 +45,7 @@ def z_of_mean(values: np.ndarray) -> float:
 # --- Exposure: a flat field behind a lens ---
 
 
-@cache
-def flat(variant: str, f_number: float = 4.0) -> tuple[pixsim.SpectralImage, pixsim.Camera]:
+def flat(variant: str, f_number: float) -> tuple[pixsim.SpectralImage, pixsim.Camera]:
     """100 cd/m² of D65, f = 6 mm at 1.2 m, on a die whose corner is 35° off axis."""
     lens = {"focal_length_mm": 6.0, "f_number": f_number, "object_distance_m": 1.2}
     corner_mm = pixsim.Camera(**lens).image_distance_mm * np.tan(np.radians(35))
@@ -59,8 +58,7 @@ def flat(variant: str, f_number: float = 4.0) -> tuple[pixsim.SpectralImage, pix
 GATE = 5e-4
 
 
-@pytest.mark.parametrize("f_number", [4.0, 8.0])
-@VARIANTS
+@pytest.mark.parametrize(("variant", "f_number"), [pytest.param("llvm_ad_spectral", 4.0, marks=NEEDS_LLVM), (VARIANT, 8.0)])
 def test_render_illuminance_follows_lens(variant, f_number):
     image, camera = flat(variant, f_number)
     x_mm = (np.arange(65) - 32) * image.pitch_um * 1e-3
@@ -125,10 +123,9 @@ GRATING_ROWS = 16
 
 @cache
 def grating(camera: pixsim.Camera, frequency_lp_per_mm: float, folder: Path) -> pixsim.SpectralImage:
-    """Render 16 of 1024 rows of the packaged scene with a sinusoid; 0 lp/mm is a uniform field."""
+    """Render 16 of 1024 rows of the packaged scene with a sinusoid."""
     x = (np.arange(16384) + 0.5) / 16384  # 100 texels a cycle: bilinear interpolation keeps 0.03 % of 60 lp/mm
-    contrast = 0.9 if frequency_lp_per_mm else 0.0
-    texels = (0.5 * (1 + contrast * np.sin(2 * np.pi * frequency_lp_per_mm * charts.DIE_MM * x))).astype(np.float32)
+    texels = (0.5 * (1 + 0.9 * np.sin(2 * np.pi * frequency_lp_per_mm * charts.DIE_MM * x))).astype(np.float32)
     pixsim.write_chart(folder / "sine.exr", np.tile(texels, (2, 1)))
     height = '<integer name="height" value="{}"/>'
     text = packaged_scenes()["csf"].read_text()
@@ -153,12 +150,16 @@ def mean_electrons(image, camera, pixel) -> np.ndarray:
     return frame.mean_e.mean(axis=0) / frame.integration_s
 
 
+# A coarse and a fine one through each lens, the last of which is at |m| = 0.24.
 @pytest.mark.parametrize("pitch_um", [5.3, 8.0, 15.0])
-@pytest.mark.parametrize("frequency_lp_per_mm", [5.0, 20.0, 60.0])
-@pytest.mark.parametrize(("f_number", "distance_m"), [(2.8, 1.0), (8.0, 1.0), (4.0, 0.02)])  # the last at |m| = 0.24
+@pytest.mark.parametrize(
+    ("f_number", "distance_m", "frequency_lp_per_mm"),
+    [(2.8, 1.0, 20.0), (2.8, 1.0, 60.0), (8.0, 1.0, 5.0), (8.0, 1.0, 60.0), (4.0, 0.02, 20.0), (4.0, 0.02, 60.0)],
+)
 def test_capture_contrast_is_diffraction_times_photodiode(f_number, distance_m, frequency_lp_per_mm, pitch_um, grating_folder):
     camera = pixsim.Camera(f_number=f_number, object_distance_m=distance_m)
-    image, plain = (grating(camera, frequency, grating_folder) for frequency in (frequency_lp_per_mm, 0.0))
+    image = grating(camera, frequency_lp_per_mm, grating_folder)
+    plain = image.with_planes(0.5 * lens_sr(image, camera)[None].astype(np.float32))
     pixel = pixsim.Pixel(pitch_um=pitch_um)
     signal = mean_electrons(image, camera, pixel) / mean_electrons(plain, camera, pixel)  # without the fall-off
     # At 15 µm 60 lp/mm is beyond Nyquist: the true frequency at the pixel centres is the alias.
@@ -256,12 +257,12 @@ def test_render_top_left_is_kept_in_files(tmp_path):
 
 @VARIANTS
 def test_render_equal_seeds_are_bit_identical(variant):
-    scene = pixsim.load_scene("csf", variant=variant, resolution=128)
+    scene = pixsim.load_scene("csf", variant=variant, resolution=64)
     first, again, other = (pixsim.render(scene, seed=seed).data[:, :, 20].astype(float) for seed in (3, 3, 5))
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
     relative = first / other - 1
-    assert 1e-4 < relative.std() < 5e-3  # measured .3 %: noise, not another picture
+    assert 1e-4 < relative.std() < 1e-2  # measured .5 %: noise, not another picture
     assert abs(z_of_mean((first - other).ravel())) < 4  # false alarm 6e-5
 
 

@@ -119,7 +119,7 @@ KEPT = {
     "a sphere": ("macbeth", [shape("sphere", NEAR, '<bsdf type="diffuse"/>')], MATT),
     **{
         f"a patch of {bsdf}": ("macbeth", [(BSDF, f'<bsdf type="{bsdf}">')], MATT)
-        for bsdf in ("conductor", "roughconductor", "plastic", "roughplastic", "dielectric")
+        for bsdf in ("conductor", "roughplastic", "dielectric")
     },
     "a patch of principled": ("macbeth", [(BSDF, '<bsdf type="principled">')], MATT | {"spectral rank"}),
     "an environment map": ("macbeth", [(END, ENVIRONMENT)], {"lens samples"}),
@@ -420,12 +420,18 @@ def test_chart_picture_is_cell_means():
 
 # 1024 stratified samples leave a noise of 1e-4, and three times as much in the worst of 1160 cells; of steps of 0.9 next to 0.1,
 # one side of which a cell's samples take for the other by 1024^-¾, 5e-3.
-@pytest.mark.parametrize(("filter_type", "noise"), [("bilinear", 1e-3), ("nearest", 1e-2)])
+NOISE = {"bilinear": 1e-3, "nearest": 1e-2}
+
+
+# A wrong way of a chart is an error of a half, far above either noise: the filters share the ways.
 @pytest.mark.parametrize(
-    ("flip", "mirrored", "wrap_mode"),
-    [((1, 1), 1, "clamp"), ((-1, 1), 1, "repeat"), ((1, -1), 1, "mirror"), ((-1, -1), -1, "clamp"), ((1, 1), -1, "repeat")],
-)
-def test_exact_cells_equal_render(flip, mirrored, wrap_mode, filter_type, noise, tmp_path):
+    ("flip", "mirrored", "wrap_mode", "filter_type"),
+    [
+        ((1, 1), 1, "clamp", "nearest"), ((-1, 1), 1, "repeat", "bilinear"), ((1, -1), 1, "mirror", "bilinear"),
+        ((-1, -1), -1, "clamp", "bilinear"), ((1, 1), -1, "repeat", "nearest"),
+    ],
+)  # fmt: skip
+def test_exact_cells_equal_render(flip, mirrored, wrap_mode, filter_type, tmp_path):
     """An asymmetric chart, wider than the film, however its texels run: Mitsuba's render approaches the exact cells."""
     rng = np.random.default_rng(5)
     write_channels(tmp_path / "chart.exr", {"Y": rng.uniform(0.1, 1, (12, 10)).astype(np.float32)}, {})
@@ -434,20 +440,14 @@ def test_exact_cells_equal_render(flip, mirrored, wrap_mode, filter_type, noise,
     text = text.replace('"clamp"/>', f'"{wrap_mode}"/><string name="filter_type" value="{filter_type}"/>')
     text = text.replace('<scale x="$chart', f'<scale x="{mirrored}"/><scale x="$chart')
     (tmp_path / "scene.xml").write_text(text)
-    parameters = {"chart": str(tmp_path / "chart.exr"), "chart_half_width": 0.5}
+    scene = pixsim.load_scene(tmp_path / "scene.xml", chart=str(tmp_path / "chart.exr"), chart_half_width=0.5).with_resolution(40)
     camera = pixsim.Camera(die_mm=2.7136, die_height_mm=1.9)
-    exact = make_plan(pixsim.load_scene(tmp_path / "scene.xml", **parameters).with_resolution(40), camera, display=pixsim.Display())
-    assert exact.exact
-    sampled = make_plan(pixsim.load_scene(tmp_path / "scene.xml", spp=1024, **parameters).with_resolution(40), camera)
-    assert not sampled.exact
-    one, other = (
-        pixsim.render(
-            pixsim.load_scene(tmp_path / "scene.xml", **parameters).with_resolution(40), camera, plan=plan
-        ).illuminance_lx()
-        for plan in (exact, sampled)
-    )
+    exact = make_plan(scene, camera, display=pixsim.Display())
+    sampled = make_plan(scene.with_parameters(spp=1024), camera)
+    assert (exact.exact, sampled.exact) == (True, False)
+    one, other = (pixsim.render(scene, camera, plan=plan).illuminance_lx() for plan in (exact, sampled))
     assert one.shape == other.shape == (29, 40)
-    np.testing.assert_allclose(one, other, rtol=noise)
+    np.testing.assert_allclose(one, other, rtol=NOISE[filter_type])
 
 
 def test_exact_cells_only_where_they_are_exact(tmp_path):
@@ -490,10 +490,10 @@ def test_sampling_error_ramp_is_stratified(spp, axis):
 
 @cache
 def measured_error(name: str, spp: int) -> float:
-    """Return the RMS relative error of cells, from pairs of independent renders."""
+    """Return the RMS relative error of cells, from three independent renders."""
     scene = load(name, resolution=SIZE, spp=spp)
     job = Renderer(scene, scene.camera(), make_render_plan(scene), 0)
-    runs = np.array([job.run(index)[0][0][:, :, 0] for index in range(6)])
+    runs = np.array([job.run(index)[0][0][:, :, 0] for index in range(3)])
     mean = runs.mean(axis=0)
     return float(np.sqrt(np.mean((runs.std(axis=0, ddof=1) / np.maximum(mean, rules.DARKEST * mean.max())) ** 2)))
 
@@ -504,7 +504,7 @@ def test_sampling_error_matches_render(name, spp):
     chart, result = render_plan(name, resolution=SIZE).chart, measured_error(name, spp)
     foretold = [rules.sampling_error(chart, spp, seed) for seed in range(16 if name == "csf" else 48)]
     # Most of the error is in few cells, of which 1024 are tried: one seed scatters by 12 % (the finest lines) to 40 % (the
-    # edge, which 8 of the tried cells meet), all by 3 to 6 %, and the render's by 4 %; 10 % are the model's.
+    # edge, which 8 of the tried cells meet), all by 3 to 6 %, and the render's by 6 %; 10 % are the model's.
     assert np.sqrt(np.mean(np.square(foretold))) == pytest.approx(result, rel=0.35)
     if name == "csf":
         assert 0.5 < foretold[0] / result < 2

@@ -42,25 +42,19 @@ SMALL = replace(
 )
 NO_TIME = replace(SMALL, seconds=0.0, ladders_s=0.0)  # skips every rung on any machine
 discharges_of_default = once(lambda: surveys.discharges(pixsim.Pixel()))
-
-
-@pytest.fixture(autouse=True)
-def few_extremes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two cases, and the discharges of one pixel for all, for speed: other tests check them."""
-    known = discharges_of_default()
-    monkeypatch.setattr(surveys, "discharges", lambda pixel: known if pixsim.derive(pixel).diode else ())
-    cases = [
-        replace(compare("one", 1.0, 1.0, 0.1, "by <hand>"), room="optics"),
-        compare("two & three", 1.0, 2.0, 0.1, "it's wrong"),
-    ]
-    monkeypatch.setattr(stability, "all_cases", lambda report_progress=None: cases)
-
-
 TABLES = {"display": DISPLAY, "camera": DIE}
 
 
 def surveyed(source: str | Path, depth=SMALL, **values) -> Accuracy:
+    """With two cases, and the discharges of one pixel for all, for speed: other tests check them."""
+    known = discharges_of_default()
+    cases = [
+        replace(compare("one", 1.0, 1.0, 0.1, "by <hand>"), room="optics"),
+        compare("two & three", 1.0, 2.0, 0.1, "it's wrong"),
+    ]
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(surveys, "discharges", lambda pixel: known if pixsim.derive(pixel).diode else ())
+        patch.setattr(stability, "all_cases", lambda report_progress=None: cases)
         patch.setattr(ladders, "QUICK", depth)
         parameters = values.pop("scene", {"resolution": 64, "spp": 4})
         return pixsim.accuracy(source, quick=True, variant=VARIANT, parameters=parameters, **TABLES | values)
@@ -266,10 +260,15 @@ def test_probe_is_reproducible_and_continuous():
     assert 0 < one.score_seconds <= one.seconds
 
 
+def coarse_chart(folder: Path, resolution: int) -> Path:
+    """The csf scene with a coarser film, which the run may change."""
+    film = f'name="resolution" value="{resolution}"'
+    return edited(folder, "csf", ('name="resolution" value="1024"', film), ('value="16"', 'value="4"'))
+
+
 @pytest.fixture
 def chart(tmp_path: Path) -> Path:
-    """The csf scene with half of its resolution, which the run may change."""
-    return edited(tmp_path, "csf", ('name="resolution" value="1024"', 'name="resolution" value="512"'), ('value="16"', 'value="4"'))
+    return coarse_chart(tmp_path, 512)
 
 
 RUN = f"--variant {VARIANT} --display.dots 128 --camera.die-mm 0.8 --json"
@@ -362,11 +361,11 @@ def test_run_scene_without_white_meets_tolerance(tmp_path):
     assert result["err"].count("does not define its white") == 1
 
 
-def test_study_with_tolerance_reports_budget(chart, tmp_path):
+def test_study_with_tolerance_reports_budget(tmp_path):
     study = tmp_path / "small.toml"
     study.write_text(
-        f'name = "small"\ntolerance_delta_e = 2\nmax_repeats = 3\nscene.file = "{chart}"\ncamera.die_mm = 0.4\n'
-        "display.dots = 32\npitch = { count = 6 }\n",
+        f'name = "small"\ntolerance_delta_e = 2\nmax_repeats = 3\nscene.file = "{coarse_chart(tmp_path, 256)}"\n'
+        "camera.die_mm = 0.4\ndisplay.dots = 32\npitch = { count = 6 }\n",
         encoding="utf-8",
     )
     code, text, err = command(f"study {study} --jobs 1 --variant {VARIANT} --out {tmp_path / 'out'}")
