@@ -110,7 +110,7 @@ def test_delta_e_map_rotates_with_images(filters):
 
 @pytest.mark.parametrize("count", [2, 3])
 def test_filtered_lab_is_independent_of_threads(count, monkeypatch):
-    image = random_image((127, 65))
+    image = random_image((257, 130))
     monkeypatch.setattr(arrays, "threads", lambda: 1)
     expected = scielab.filtered_lab(image, **VIEW)
     monkeypatch.setattr(arrays, "threads", lambda: count)
