@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.commands import command
 from helpers.tiny import tiny
 from pydantic import ValidationError
 
@@ -231,15 +230,9 @@ def test_study_with_correction_continues_from_its_cache(tmp_path: Path, monkeypa
     assert (first.curves[0].delta_e != plain.curves[0].delta_e).all()
 
 
-def test_run_command_with_correction_states_it(tmp_path: Path) -> None:
-    import json
-
-    code, _, err = command(f"run csf --resolution 48 --correction.dark-frames 2 --display.dots 32 --out {tmp_path / 'o'}")
-    assert code == 0, err
-    found = json.loads((tmp_path / "o/score.json").read_text(encoding="utf-8"))
-    assert found["correction"]["dark_frames"] == 2
-    assert not [note for note in found["notes"] if "clips dark noise" in note]
-    assert "dark_frames" in (tmp_path / "o/report.html").read_text(encoding="utf-8")
-    code, _, err = command(f"run csf --correction.defects true --out {tmp_path / 'p'}")
-    assert code == 2
-    assert "dark_frames or flat_frames above 0" in err
+def test_run_with_correction_states_it() -> None:
+    result = pixsim.run("csf", resolution=48, correction={"dark_frames": 2}, display={"dots": 32})
+    assert result.as_dict()["correction"]["dark_frames"] == 2
+    assert not [note for note in result.as_dict()["notes"] if "clips dark noise" in note]
+    with pytest.raises(PixsimError, match="dark_frames or flat_frames above 0"):
+        pixsim.run("csf", correction={"defects": True})
