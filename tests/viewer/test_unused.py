@@ -100,8 +100,8 @@ CONFIGURATIONS: dict[str, dict[str, Any]] = {
     "colour by transmittances": of("0.35um", colour={"transmittances": bells(0.8)}) | QUICK_FIT,
     "one dot a pixel": {"pixel": SHEET, "display": {"raster": "one_to_one"}},
 }
-# Settings outside [pixel] are moved in these: without and with a stack, in colour, and with dots of pixels. The others are other
-# ways to state the same pixels, and move what states them.
+# Without and with a stack, in colour, and with dots of pixels. The others are other ways to state such pixels: only what states
+# them is moved there.
 WHOLE = ("3T", "4T", "colour by quantum efficiencies", "one dot a pixel")
 SLOW: dict[str, dict[str, Any]] = {  # the same rules with other values of what they look at
     "3T, forward bias": of("0.35um", well_limit="diode", conversion="junction"),
@@ -255,8 +255,10 @@ def test_every_setting_acts_or_a_message_names_it(configuration: str) -> None:
     assert base[0] is not None, base
     silent = []
     for name, values in MOVES.items():
-        if not (name.startswith("pixel.") or configuration in (*WHOLE, *SLOW)) or (name == "lens.file" and "lens" not in own):
-            continue  # the latter: seconds of tracing; without a file the other fields of [lens] are refused
+        if configuration not in (*WHOLE, *SLOW) and not name.startswith("pixel."):
+            continue
+        if name == "lens.file" and "lens" not in own:
+            continue  # seconds of tracing; without a file the other fields of [lens] are refused
         beside = BESIDE.get(name, {})
         with_beside = merge(own, beside)
         known = scored(with_beside) if beside else base
