@@ -133,6 +133,8 @@ def reuse_freed_memory() -> None:
 
 WORTH_THREADS = 1 << 20  # numbers; fewer take less time than threads need to start
 
+WORTH_WORKERS = 1 << 14  # numbers of a DCT, whose threads wait for work: fewer take less time than a hand-over
+
 
 def in_threads(function: Callable[[Item], None], items: Iterable[Item], size: int) -> None:
     """Call a function for each item, such as a strip of rows, on several threads if all items together have `size` numbers or more.
@@ -166,14 +168,18 @@ def dct(planes: NDArray[Any], in_place: bool = True) -> NDArray[Any]:
         copy = empty_planes(*planes.shape, dtype=planes.dtype)
         copy[...] = planes
         planes, in_place = copy, True
-    return np.asarray(dctn(planes, type=2, axes=(-2, -1), overwrite_x=in_place, workers=threads()))
+    return np.asarray(dctn(planes, type=2, axes=(-2, -1), overwrite_x=in_place, workers=_dct_workers(planes)))
 
 
 def inverse_dct(planes: NDArray[Any]) -> NDArray[Any]:
     """Inverse of `dct`, in place."""
     from scipy.fft import idctn
 
-    return np.asarray(idctn(planes, type=2, axes=(-2, -1), overwrite_x=True, workers=threads()))
+    return np.asarray(idctn(planes, type=2, axes=(-2, -1), overwrite_x=True, workers=_dct_workers(planes)))
+
+
+def _dct_workers(planes: NDArray[Any]) -> int:
+    return threads() if planes.size >= WORTH_WORKERS else 1
 
 
 def first_where(mask: NDArray[np.bool_]) -> tuple[int, ...] | None:

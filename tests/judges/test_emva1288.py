@@ -261,7 +261,7 @@ def test_package_measures_what_correction_leaves() -> None:
     dark_e2 = p.reset_noise_e**2 + p.read_noise_at_gain_e**2 + 1 / 12 / p.dn_per_e**2
     left = residual_variance_e2(0.0, made.integration_s, p, Corrected.correction)
     assert left.offsets == pytest.approx(dark_e2 / 8 * (1 - 0) ** 2, rel=1e-12)
-    bright_e = float(saturating_photons(plain)) / 2 * made.efficiency
+    bright_e = results["u_p_sat"] / 2 * made.efficiency  # of the bright stack
     light = residual_variance_e2(bright_e, made.integration_s, p, Corrected.correction)
     prnu = math.sqrt(light.offsets + light.flat - left.offsets) / bright_e
     expected = {"DSNU1288": math.sqrt(left.offsets), "PRNU1288": 100 * prnu, "K": p.dn_per_e}
@@ -269,12 +269,6 @@ def test_package_measures_what_correction_leaves() -> None:
         assert results[name] == pytest.approx(value, rel=CORRECTED_GATE), name
     assert p.offset_fpn_e > 5 * expected["DSNU1288"]
     assert 100 * p.prnu > 2 * expected["PRNU1288"]
-
-
-def saturating_photons(experiment: Experiment) -> float:
-    """The exposure of the light series at which the temporal variance peaks, whose half the bright stack has."""
-    pairs = [np.stack([*experiment.frames(2, photons, "light series", index)]) for index, photons in enumerate(experiment.photons)]
-    return float(experiment.photons[saturation_index(np.array([np.var(two[0] - two[1]) / 2 for two in pairs]))])
 
 
 class Resampled(Experiment):

@@ -79,9 +79,14 @@ def camera_of(f_number: float) -> Camera:
 
 
 @cache
+def chart_of(texels: tuple[int, int]) -> np.ndarray:
+    return charts.make_chart("slanted_edge", *texels)
+
+
+@cache
 def rendered(work: Work, angle_deg: float, f_number: float) -> SpectralImage:
     """Irradiance of the edge; a chart at 95° is one at 5° rotated by 90°."""
-    texels = charts.make_chart("slanted_edge", *work.texels)
+    texels = chart_of(work.texels)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "edge.exr"
         charts.write_chart(path, texels if angle_deg == 5.0 else np.ascontiguousarray(np.rot90(texels)))

@@ -32,6 +32,7 @@ from pixsim.optics.camera_lens import (
     traced_lens,
     without_lens,
 )
+from pixsim.optics.camera_light import camera_pupil
 from pixsim.optics.diffraction import diffraction_otf
 from pixsim.optics.lens import Lens, load_lens
 from pixsim.optics.lens_options import LensOptions
@@ -359,15 +360,18 @@ def test_lens_on_another_die_sees_the_same_field() -> None:
 
 
 def test_a_die_beyond_the_image_circle_is_dark_there() -> None:
-    """US 7,535,658 has no rays beyond some field: the share of the die that stays dark is stated, and has no light."""
+    """US 7,535,658 has no rays beyond some field: the share of the die that stays dark is stated, and has no light.
+
+    The pupil there, of which no light comes, is that of the outermost light.
+    """
     camera = with_lens("phone", 12.0, 1.0, focal_length_mm=5.2)
     heights, _ = field_angles(camera.lens, 1.0, math.hypot(12.0, 12.0) / 2)  # type: ignore[arg-type]
-    circle = math.pi * heights[-1] ** 2 / 144 if heights[-1] < 6 else None
     assert camera.relative_illumination is not None
-    share = dark_share(camera)
-    assert 0 < share < 1
-    if circle is not None:
-        assert share == pytest.approx(1 - circle, abs=0.02)
+    assert heights[-1] < 6
+    assert dark_share(camera) == pytest.approx(1 - math.pi * heights[-1] ** 2 / 144, abs=0.02)
+    found = camera_pupil(camera).at([1e3 * heights[-1], 6000.0], [0.0, 6000.0])
+    assert np.isfinite(found.chief_cosines).all()
+    np.testing.assert_allclose(*np.linalg.norm(found.chief_cosines, axis=-1), rtol=1e-12)
 
 
 def test_few_wavelengths_have_the_moments_of_the_bands() -> None:

@@ -418,7 +418,7 @@ def test_each_colour_is_blurred_by_the_psf_of_its_own_light() -> None:
         Camera(die_mm=3.0, object_distance_m=5.0), CameraOptions(f_number=8.0), LensOptions(file="singlet", focal_length_mm=20.0)
     )
     channels = [np.exp(-(((nm - middle) / 35) ** 2)) for middle in (460.0, 540.0, 610.0)]
-    tiling = Tiling(400.0, cells * pitch_um, 0.0, wavelengths=6)
+    tiling = Tiling(400.0, cells * pitch_um, 0.0, wavelengths=6, nodes=9)
     picture, place = np.zeros((129, 129), np.float32), (92, 32)
     picture[place] = 1.0
     image = SpectralImage(nm, 20.0, pitch_um, factors=(np.ones((1, nm.size)), picture[None]))

@@ -182,12 +182,8 @@ def test_run_writes_frames_of_equal_sfr(tmp_path: Path, capsys: pytest.CaptureFi
     for result in frames.values():
         np.testing.assert_array_equal(result.dn, frames[".exr"].dn)
         assert (result.black_level_dn, result.white_level_dn, result.bits) == (40.0, 1023.0, 10)
+    assert len({pixsim.sfr(out / f"raw{suffix}").to_csv() for suffix in frames}) == 1
     capsys.readouterr()
-    message = set()
-    for suffix in frames:
-        assert run(f"sfr {out}/raw{suffix} --out {tmp_path}/sfr{suffix} --json") == 0
-        message.add(capsys.readouterr().out)
-    assert len(message) == 1
     assert run(f"run slanted_edge {small} --pixel.bits 20 --raw png --out {tmp_path}/deep") == 2
     assert "--raw: got tiff or png for frames of 20 bits" in capsys.readouterr().err
     assert not (tmp_path / "deep").exists()

@@ -37,15 +37,34 @@ def test_transformed_noise_has_variance_one_from_20_electrons(read_noise_e: floa
     assert variance == pytest.approx(1, abs=0.02)
 
 
+DRAWS, DRAWN_E = 1_000_000, (0.5, 3.0, 20.0, 200.0, 1e4)
+
+
+@pytest.fixture(scope="module")
+def draws() -> tuple[np.ndarray, list[np.ndarray]]:
+    """Noise of variance one, and electrons of each mean; read noise of every size is a multiple of the first."""
+    rng = np.random.default_rng(SEED)
+    return rng.standard_normal(DRAWS), [rng.poisson(mean_e, DRAWS) for mean_e in DRAWN_E]
+
+
 @pytest.mark.parametrize("read_noise_e", READ_NOISE_E)
-def test_few_electrons_have_the_expected_moments(read_noise_e: float):
-    """Of 1e6 draws: the mean within 4 standard errors, the variance within 0.5 %, which are 3.5. False alarms: 1 of 100 runs."""
-    rng, count = np.random.default_rng(SEED), 1_000_000
-    for mean_e in (0.5, 3.0, 20.0):
-        values = anscombe.forward(noisy(mean_e, read_noise_e, (count,), rng), read_noise_e**2)
-        mean, variance = anscombe.moments(mean_e, read_noise_e**2)
-        assert values.mean() == pytest.approx(float(mean), abs=4 * values.std() / math.sqrt(count))
-        assert values.var() == pytest.approx(float(variance), rel=0.005)
+def test_moments_and_inverse_are_those_of_draws(read_noise_e: float, draws: tuple[np.ndarray, list[np.ndarray]]):
+    """Of 1e6 draws: of few electrons the mean within 4 standard errors, the variance within 0.5 %, which are 3.5.
+
+    The inverse of their mean is unbiased within 3. False alarms: 1 of 13 runs of other seeds, for all five.
+    """
+    noise, electrons = draws
+    for mean_e, drawn in zip(DRAWN_E, electrons, strict=True):
+        values = anscombe.forward(drawn + read_noise_e * noise, read_noise_e**2)
+        found, spread = values.mean(), values.std()
+        error = spread / math.sqrt(DRAWS)
+        if mean_e <= 20:
+            mean, variance = anscombe.moments(mean_e, read_noise_e**2)
+            assert found == pytest.approx(float(mean), abs=4 * error)
+            assert spread**2 == pytest.approx(float(variance), rel=0.005)
+        step = 1e-3
+        below, inverse, above = anscombe.inverse(found + step * np.array([-1, 0, 1]), read_noise_e**2)
+        assert abs(inverse - mean_e) <= 3 * error * (above - below) / (2 * step)
 
 
 @pytest.mark.parametrize("read_noise_e", READ_NOISE_E[1:])
@@ -65,18 +84,6 @@ def test_moments_are_integrals_over_the_density(read_noise_e: float):
         mean, variance = anscombe.moments(mean_e, read_noise_e**2)
         assert float(mean) == pytest.approx(expected, abs=1e-4)  # the root begins between two places of the grid
         assert float(variance) == pytest.approx(float((density * (values - expected) ** 2).sum()), abs=1e-4)
-
-
-@pytest.mark.parametrize("read_noise_e", READ_NOISE_E)
-def test_inverse_of_a_mean_is_unbiased(read_noise_e: float):
-    """Within 3 standard errors of 1e6 draws, from 0.5 electrons on. False alarms: 1 of 17 runs, for all five."""
-    rng, count, step = np.random.default_rng(SEED), 1_000_000, 1e-3
-    for mean_e in (0.5, 2.0, 10.0, 200.0, 1e4):
-        values = anscombe.forward(noisy(mean_e, read_noise_e, (count,), rng), read_noise_e**2)
-        middle = values.mean()
-        below, found, above = anscombe.inverse(middle + step * np.array([-1, 0, 1]), read_noise_e**2)
-        error = (above - below) / (2 * step) * values.std() / math.sqrt(count)
-        assert abs(found - mean_e) <= 3 * error
 
 
 @pytest.mark.parametrize("read_noise_e", [*READ_NOISE_E, 1e3])
@@ -356,11 +363,13 @@ def percent_correct(pairs: np.ndarray, trained: int) -> float:
 
 @pytest.mark.parametrize("method", [None, *NAMED, "wiener"])
 def test_no_filter_tells_an_observer_more_than_the_frame_had(method: str | None):
-    """Percent correct ≤ Φ(d′/√2) + 3 standard errors, of 700 pairs, after 300 others. False alarms: 1 of 700 at equality.
+    """Percent correct ≤ Φ(d′/√2) + 3 standard errors. False alarms: 1 of 700 at equality.
 
-    The observer is good enough to tell: of frames without a filter it has nearly all.
+    Of 700 pairs, after 300 others, and of 300 after 100 behind the slow filters: an excess of 0.06 and 0.09 is found in 93 % of
+    seeds. The observer is good enough to tell: of frames without a filter it has nearly all.
     """
-    rng, trained, count, read_noise_e = np.random.default_rng(SEED), 300, 1000, 2.0
+    trained, count = (100, 400) if method in NAMED else (300, 1000)
+    rng, read_noise_e = np.random.default_rng(SEED), 2.0
     target = 2.0 * rings()[:3].sum(axis=0).reshape(SIDE, SIDE)
     means = np.stack([np.full_like(target, 50.0), 50.0 + target])
     raw = noisy(means, read_noise_e, (count, 2, SIDE, SIDE), rng)

@@ -346,9 +346,7 @@ SHARP = {"sharpen_amount": 1.5, "sharpen_radius_px": 0.8}
 @pytest.mark.parametrize(
     ("pattern", "dots", "develop"),
     [
-        ("rggb", 311, {"demosaic": "bilinear"}),
         ("gbrg", 431, {"demosaic": "malvar2004"}),
-        ("stacked", 311, {}),
         ("rggb", 311, {"demosaic": "bilinear", **SHARP}),
         ("stacked", 431, SHARP),
         ("quad_rggb", 311, {"remosaic": True, "demosaic": "malvar2004", **SHARP}),

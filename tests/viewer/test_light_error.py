@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.runs import run_result
+from helpers.tiny import tiny
 
 import pixsim
 from pixsim.base.caller import command_line
@@ -23,6 +24,11 @@ QUIET = NOISY | {"fraction": 0.2, "ended_by": "target"}  # at its target
 COARSE = FilmError((64, 64), 10.0, (5.0, 20.0), (0.6, 0.2), (0.02, 0.02), "the limit of 64 samples across for 20 pictures")
 FINE = replace(COARSE, delta_e=(0.02, 0.02), limit="")  # at what is tolerated
 UNKNOWN = replace(COARSE, delta_e=(math.nan, math.nan))
+
+
+@pytest.fixture(scope="module")
+def study_result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
+    return pixsim.study(tiny(), tmp_path_factory.mktemp("tiny"), jobs=1)
 
 
 def of_run(noise: dict[str, Any] | None, film: FilmError | None, sensors: int = 1, **known: Any) -> RunResult:
@@ -113,16 +119,16 @@ def test_score_of_a_picture_says_what_is_known_of_its_light(header, words):
     assert ("pixsim.study measure" in cell) == ("not measured" in repr(score))
 
 
-def test_study_shows_the_errors_of_its_light(tiny_result: StudyResult):
+def test_study_shows_the_errors_of_its_light(study_result: StudyResult):
     """The film counts at the best pixel size: its error is interpolated in log pitch between those measured."""
-    (curve,) = tiny_result.curves[:1]
+    (curve,) = study_result.curves[:1]
     best_um = float(curve.pitch_um[np.argmin(curve.mean())])
-    header = tiny_result.irradiance.header | {"render_noise": NOISY}
-    quiet = tiny_result.irradiance.with_planes(tiny_result.irradiance.planes, header=header | {"render_noise": QUIET})
+    header = study_result.irradiance.header | {"render_noise": NOISY}
+    quiet = study_result.irradiance.with_planes(study_result.irradiance.planes, header=header | {"render_noise": QUIET})
     ends_um = best_um / 4, best_um * 4
     film = replace(COARSE, pitch_um=ends_um, limit="set by --resolution")  # 0.4 in the middle of 0.6 and 0.2
     for error, of_error in ((film, "± 0.4 (film), not converged"), (replace(FINE, pitch_um=ends_um), None)):
-        shown = replace(tiny_result, irradiance=quiet, curves=(curve,), film=error)
+        shown = replace(study_result, irradiance=quiet, curves=(curve,), film=error)
         lines = study_unconverged(shown)
         found = [optimum_line(shown.curves[0]), shown._repr_html_(), repr(shown)]
         assert len(lines) == bool(of_error)
@@ -131,12 +137,12 @@ def test_study_shows_the_errors_of_its_light(tiny_result: StudyResult):
     assert all("not converged" in words for words in (repr(noisy), optimum_line(noisy.curves[0]), *study_unconverged(noisy)))
 
 
-def test_study_states_its_field_and_exposure(tiny_result: StudyResult):
-    (line,) = study_light_words(tiny_result)
-    times_ms = 1e3 * np.concatenate([curve.mean("integration_s") for curve in tiny_result.curves])
+def test_study_states_its_field_and_exposure(study_result: StudyResult):
+    (line,) = study_light_words(study_result)
+    times_ms = 1e3 * np.concatenate([curve.mean("integration_s") for curve in study_result.curves])
     ends = dict.fromkeys(f"{time_ms:.3g}" for time_ms in (times_ms.min(), times_ms.max()))
     assert line.endswith(f"exposed for {' to '.join(ends)} ms")
-    assert f"a field of {tiny_result.camera.fov_deg:.3g}°" in line
+    assert f"a field of {study_result.camera.fov_deg:.3g}°" in line
 
 
 @pytest.mark.parametrize(

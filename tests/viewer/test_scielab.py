@@ -110,7 +110,7 @@ def test_delta_e_map_rotates_with_images(filters):
 
 @pytest.mark.parametrize("count", [2, 3])
 def test_filtered_lab_is_independent_of_threads(count, monkeypatch):
-    image = random_image((127, 65))
+    image = random_image((257, 130))
     monkeypatch.setattr(arrays, "threads", lambda: 1)
     expected = scielab.filtered_lab(image, **VIEW)
     monkeypatch.setattr(arrays, "threads", lambda: count)
@@ -228,8 +228,7 @@ def colour_has_been_imported() -> None:
 
 @pytest.mark.parametrize("samples_per_deg", [1e-3, 0.5, 223.0, 225.0, 2000.0, 1e5, 1e6])
 @pytest.mark.parametrize("filters", FILTERS)
-@pytest.mark.parametrize("formula", FORMULAS)
-@pytest.mark.parametrize("shape", [(1, 5), (6, 4)])
+@pytest.mark.parametrize(("shape", "formula"), [((1, 5), "2000"), ((6, 4), "1994")])
 def test_delta_e_map_any_density_is_finite_in_little_memory(samples_per_deg, filters, formula, shape):
     """A kernel spans a degree, 1e6 samples at most: six arrays of it are 48 MB, and what it takes does not grow otherwise."""
     tracemalloc.start()
