@@ -30,7 +30,10 @@ from pixsim.viewer.score import ImagingChain, Score
 README = ROOT / "README.md"
 PAGES = [README, *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs/gallery").glob("*.md"))]
 # First, so that in the end no worker waits for one of them.
-LONGEST = ("pixel_stack.md", "first_sensor.md", "own_scene.md", "glass.md", "not_known.md", "compare.md", "sodium.md")
+LONGEST = (
+    *("inspection_line.md", "pixel_stack.md", "own_scene.md", "first_sensor.md", "compare.md", "colour.md", "rendering.md"),
+    *("questions.md", "not_known.md", "how_small.md"),
+)
 LONGEST_FIRST = sorted(PAGES, key=lambda path: LONGEST.index(path.name) if path.name in LONGEST else len(LONGEST))
 
 
