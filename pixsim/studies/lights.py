@@ -13,11 +13,11 @@ from pixsim.optics.camera import Camera
 from pixsim.scene.convergence import RenderNoise, render_until
 from pixsim.sensor.labels import label_in
 from pixsim.studies.cases import Case
-from pixsim.studies.engine import Workers, results_of
+from pixsim.studies.engine import Workers, results_of, workers_here
 from pixsim.studies.keys import light_hash
 from pixsim.studies.oversampling import Demand, GivenLight, Light, rendered_light
 from pixsim.studies.pixels import physics_of
-from pixsim.studies.preparation import first_film, plan_of, scene_for, smallest_pixels, study_plan
+from pixsim.studies.preparation import first_film, plan_of, smallest_pixels, study_plan
 from pixsim.studies.sampling import border_on_um, imaging_of, largest_pixel_um, study_pitches_um
 from pixsim.studies.sight import Sight, clearest
 from pixsim.studies.study_settings import Study
@@ -80,17 +80,12 @@ def measured_pixels(study: Study, camera: Camera) -> list[Imaging]:
 
 
 def lights_of_cases(
-    cases: Sequence[Case[Study]],
-    variant: str | None,
-    stage: Stage,
-    workers: Workers,
-    *,
-    store: Callable[[SpectralImage], SpectralImage],
+    cases: Sequence[Case[Study]], stage: Stage, workers: Workers, *, store: Callable[[SpectralImage], SpectralImage]
 ) -> list[Light | GivenLight | str]:
     """Return the light of each case; cases that differ in nothing that it depends on share one.
 
     In its place stands the reason why none of a case's pixel sizes is possible.
-    Where Mitsuba traces no rays, which would take all processors by itself, the workers make them.
+    Where Mitsuba traces no rays, which would take all processors by itself, processes of this machine make them.
 
     store : returns an image that need not stay in memory, where there are several lights
     """
@@ -104,7 +99,9 @@ def lights_of_cases(
     if len(different) == 1:
         lights = {keys[0]: _light_or_reason(cases[0], stage("render"))}
     elif demand_of(cases[0]).plan.exact:
-        lights = _computed_lights(different, variant, stage("render"), workers, store)
+        # A worker of a cluster may lack files of the user's, or have others of the same name.
+        here = workers if workers.client is None else workers_here()
+        lights = _computed_lights(different, stage("render"), here, store)
     else:
         for key, case in different.items():
             lights[key] = _stored(_light_or_reason(case, stage(f"render {len(lights) + 1} of {len(different)}")), store)
@@ -112,21 +109,15 @@ def lights_of_cases(
 
 
 def _computed_lights(
-    cases: Mapping[str, Case[Study]],
-    variant: str | None,
-    progress: Progress,
-    workers: Workers,
-    store: Callable[[SpectralImage], SpectralImage],
+    cases: Mapping[str, Case[Study]], progress: Progress, workers: Workers, store: Callable[[SpectralImage], SpectralImage]
 ) -> dict[str, Light | str]:
     """Return the lights of charts whose film cells are computed.
 
     Of the films that show the same, the clearest is measured; if it is surely fine enough, so are the others.
     """
-    # Another machine may have packaged scenes in another place, so that a task finds its own.
-    tasks = {key: (key, replace(case, found=None), variant) for key, case in cases.items()}
     seen: dict[str, tuple[SpectralImage, Camera, RenderNoise]] = {}
     sights: dict[str, Sight] = {}
-    for done, (key, found) in enumerate(results_of(_see_task, [(task, _nothing) for task in tasks.values()], workers), 1):
+    for done, (key, found) in enumerate(results_of(_see_task, [(task, _nothing) for task in cases.items()], workers), 1):
         if found is not None:
             image, camera, noise, sights[key] = found
             seen[key] = store(image), camera, noise
@@ -135,7 +126,7 @@ def _computed_lights(
     lights: dict[str, Light | str] = {}
     left = [key for key in cases if measured_in[key] == key]
     while left:
-        for key, light in results_of(_render_task, [(tasks[key], _nothing) for key in left], workers):
+        for key, light in results_of(_render_task, [((key, cases[key]), _nothing) for key in left], workers):
             lights[key] = _stored(light, store)
             progress((len(cases) + len(lights)) / (2 * len(cases)))
         for key, of in measured_in.items():
@@ -151,13 +142,7 @@ def _nothing() -> None:
     """Return what render tasks share."""
 
 
-LightTask = tuple[str, Case[Study], str | None]  # key, case without its scene, variant of Mitsuba
-
-
-def _case_of(task: LightTask) -> Case[Study]:
-    """Return the case of a task, with its scene and its camera."""
-    _, case, variant = task
-    return replace(case, found=scene_for(case.settings, variant))
+LightTask = tuple[str, Case[Study]]  # its key
 
 
 def _see_task(task: LightTask, _: None) -> tuple[str, tuple[SpectralImage, Camera, RenderNoise, Sight] | None]:
@@ -165,7 +150,7 @@ def _see_task(task: LightTask, _: None) -> tuple[str, tuple[SpectralImage, Camer
 
     None in place of the light if it takes samples, or if the film may be too coarse.
     """
-    key, case = task[0], _case_of(task)
+    key, case = task
     study, demand = case.settings, demand_of(case)
     if not demand.plan.exact or has_target(study.metrics):  # which takes another light beside it
         return key, None
@@ -178,7 +163,8 @@ def _see_task(task: LightTask, _: None) -> tuple[str, tuple[SpectralImage, Camer
 
 def _render_task(task: LightTask, _: None) -> tuple[str, Light | str]:
     """Return the key of a task, and its light or the reason why there is none."""
-    return task[0], _light_or_reason(_case_of(task))
+    key, case = task
+    return key, _light_or_reason(case)
 
 
 def _light_or_reason(case: Case[Study], progress: Progress | None = None) -> Light | str:

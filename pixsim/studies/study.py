@@ -384,7 +384,7 @@ def run_prepared(
         workers, folder = stack.enter_context(workers_for(jobs, scheduler)), stack.enter_context(output_folder(out))
         job = with_tolerance(job, stage)
         chosen, settled = job.study, job.cases[0].settled
-        lights = lights_of_cases(job.cases, job.variant, stage, workers, store=PictureFile(folder).stored)
+        lights = lights_of_cases(job.cases, stage, workers, store=PictureFile(folder).stored)
         reasons = [light for light in lights if isinstance(light, str)]
         lit = [(case, light) for case, light in zip(job.cases, lights, strict=True) if not isinstance(light, str)]
         found: list[StudyResult] = []

@@ -6,6 +6,7 @@ import contextlib
 import os
 import re
 import resource
+import shutil
 import signal
 import socket
 import subprocess
@@ -30,6 +31,7 @@ import pixsim
 from pixsim.base import cache
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.notes import MachineWarning, collected_notes
+from pixsim.scene.packaged import packaged_scenes
 from pixsim.studies import engine, evaluations
 from pixsim.studies.engine import SharedFiles, Workers, results_of, workers_for
 
@@ -345,6 +347,20 @@ def test_study_on_cluster_sends_technology(cluster: str, tmp_path: Path, monkeyp
         assert there == here
         actual.append(here)
     assert actual[0] != actual[1]
+
+
+def test_study_of_several_lights_on_cluster_needs_no_file_there(
+    cluster: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither scene nor technology: another file of that name in a worker's folder would be taken for the user's."""
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(Path(pixsim.__file__).parent / "data/technologies/0.35um.toml", "mine.toml")
+    shutil.copy(packaged_scenes()["csf"], "own.xml")
+    axis = [{"name": "light", "set": "scene.parameters.luminance_cd_per_m2", "values": [100.0, 50.0]}]
+    study = tiny(technologies=["mine.toml"], scene={"file": "own.xml"}, axis=axis)
+    pixsim.study(study, tmp_path / "cluster", scheduler=cluster)
+    pixsim.study(study, tmp_path / "here", jobs=1)
+    assert (tmp_path / "cluster/results.csv").read_bytes() == (tmp_path / "here/results.csv").read_bytes()
 
 
 @pytest.mark.parametrize(

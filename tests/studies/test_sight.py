@@ -30,7 +30,7 @@ STATED = (SURELY * TOLERATED_DELTA_E,) * 3  # in place of a measurement
 def lights_of(**over: Any) -> dict[str, tuple[Case, Light]]:
     """The cases of a study and their lights, by the words of the cases."""
     cases = prepare(Study.model_validate(merge(SMALL, over))).cases
-    lights = lights_of_cases(cases, None, lambda _: lambda *_: None, Workers(1), store=lambda image: image)
+    lights = lights_of_cases(cases, lambda _: lambda *_: None, Workers(1), store=lambda image: image)
     return {case.words: (case, light) for case, light in zip(cases, lights, strict=True)}
 
 
@@ -57,7 +57,7 @@ def test_film_that_is_not_surely_fine_is_measured_in_each_case() -> None:
 def measured_cases(**over: Any) -> list[str]:
     """Words of the cases whose films are measured, before any is."""
     cases = prepare(Study.model_validate(merge(SMALL, over))).cases
-    found = dict(lights_module._see_task((case.words, case, None), None) for case in cases)
+    found = dict(lights_module._see_task((case.words, case), None) for case in cases)
     measured_in = {name: name for name in found} | clearest({name: seen[3] for name, seen in found.items() if seen})
     return list(dict.fromkeys(measured_in.values()))
 
