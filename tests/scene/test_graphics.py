@@ -11,6 +11,7 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -230,7 +231,7 @@ def test_card_that_fails_to_start_fails_its_trial(driver: pytest.MonkeyPatch, tm
     """All of Dr.Jit, with a driver that shows a card which then fails: the process that would trace dies, and no other."""
     job = TraceJob("cuda_ad_spectral", '<scene version="3.0.0"/>', (None,), 0, {}, None, ())
     with pytest.raises(PixsimError, match=r"the graphics card or its driver ended Mitsuba's process \(SIGABRT\)"):
-        ChildTracer(job).sample_count("independent", 4)
+        ChildTracer(job, lambda: time.monotonic() + HANG_S).sample_count("independent", 4)
 
 
 # --- The verdict ---
