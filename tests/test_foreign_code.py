@@ -89,6 +89,7 @@ def test_no_module_of_the_current_folder_is_run(folder: Path) -> None:
     assert not log.exists(), log.read_text()
 
 
+@pytest.mark.longest
 @pytest.mark.slow  # the two commands that start all kinds of processes are in the test before
 def test_no_module_of_the_current_folder_is_run_by_any_command(folder: Path) -> None:
     log = plant(folder, NAMES)

@@ -18,6 +18,7 @@ sys.exit(done.returncode)
 PLANES, SIDE = 12, 3072  # pictures of pulses of `macbeth`
 
 
+@pytest.mark.longest
 @pytest.mark.slow
 def test_a_general_scene_takes_a_few_planes_of_memory(tmp_path: Path) -> None:
     """Two halves of the renders in float64, a render and the image in float32 would take 2.5 GiB beside the program.

@@ -43,6 +43,7 @@ def missed(cases: dict[str, tuple[float, float]], usual: float) -> dict[str, tup
     return too_small
 
 
+@pytest.mark.longest
 @pytest.mark.slow
 def test_stated_error_holds_for_pictures_that_set_it() -> None:
     """Ten scenes on films of 256, 512 and 1024, and textures. A fabric of 620 threads on 256 samples is one of those missed."""
@@ -60,6 +61,7 @@ def test_stated_error_holds_for_pictures_that_set_it() -> None:
     assert not missed(textures, 10.0)
 
 
+@pytest.mark.longest
 @pytest.mark.slow
 def test_stated_error_holds_for_29_of_30_pictures_that_did_not_set_it() -> None:
     """A limit that holds in 99 % of pictures misses more than one of 30 with a probability of 4 %, one of 90 % with 82 %.
