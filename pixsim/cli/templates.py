@@ -42,7 +42,7 @@ EXAMPLES: dict[str, Any] = Camera().model_dump() | {
     "sources": {"pixel.bits": "data sheet, page 3"}, "quick": {"repeats": 4},
 }  # fmt: skip
 # Fields that are not commented out.
-SENSOR_SHOWN = tuple(f"pixel.{name}" for name in ("pitch_um", *DATA_SHEET, "bits", "prnu", "dsnu"))
+SENSOR_SHOWN = tuple(f"pixel.{name}" for name in ("pitch_um", *DATA_SHEET, "quantum_efficiency_nm", "bits", "prnu", "dsnu"))
 STUDY_SHOWN = (
     *("name", "title", "technologies", "repeats"),
     *("pitch.count", "pitch.max_um", "pitch.min_fill_factor", "scene.file", "camera.f_number", "display.white_cd_per_m2"),

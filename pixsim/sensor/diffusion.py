@@ -29,6 +29,9 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(64)
 SHORTEST, LONGEST = 1e-7, 6.5  # walks √τ, over the shorter of 1/α and L_n, and over L_n: 1e-7 and e^-42 are left out
 
 
+ABSORPTION_RANGE_NM = (300.0, 1200.0)  # of the table
+
+
 @lru_cache
 def _absorption_table() -> Array:
     """Return rows of wavelength_nm, absorption_per_um at 300 K, and its temperature coefficient in 1e-4/K."""
@@ -49,7 +52,7 @@ def absorption_per_um(wavelength_nm: Positives, temperature_k: Positive = SILICO
     1.1405
     """
     nm, table = np.asarray(wavelength_nm, float), _absorption_table()
-    low, high = table[0, 0], table[-1, 0]
+    low, high = ABSORPTION_RANGE_NM
     if not np.all((nm >= low) & (nm <= high)):
         got = nm.flat[int(np.argmax((nm < low) | (nm > high)))]
         raise invalid("wavelength_nm", f"{got:g}", f"{low:g} to {high:g} nm, where the absorption of silicon is tabulated")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from pixsim.base.arrays import Array
@@ -11,11 +13,14 @@ from pixsim.light.curves import EfficiencyCurve
 from pixsim.light.spectral import SpectralImage, photons_per_joule
 from pixsim.optics.camera import Camera
 from pixsim.sensor.collection import warn_of_stack_limits
+from pixsim.sensor.colour_options import efficiencies_of
 from pixsim.sensor.integration import electrons_per_joule
 from pixsim.sensor.outside import CENTRES_NM, EDGES_NM, OUTSIDE, SHOWN_SHARE
 from pixsim.sensor.pixel import PixelPhysics
 
 INFRARED_NM = 700.0  # beyond, a channel of a colour sensor sees nothing that the eye does
+USUAL_NM = 525.0  # at which data sheets state a quantum efficiency
+FLAT_CHANGE = 0.25  # of the electrons, by the curve of silicon in place of one number, of which a note tells
 INFRARED_SHARE = 0.05  # of a channel's signal, of which a note tells
 
 
@@ -30,6 +35,14 @@ def warn_of_light(physics: PixelPhysics, camera: Camera, irradiance: SpectralIma
                 f"{name} ends at {end_nm:g} nm with {last:g}, and is 0 beyond: if it stayed so, {share:.0%} of the electrons would "
                 f"come from there. Extend the table, or state a filter ({setting('pixel.infrared_cut_nm', end_nm)})"
             )
+    change = flat_efficiency_change(irradiance, physics)
+    if abs(change) > FLAT_CHANGE:
+        stated = setting("pixel.quantum_efficiency_nm", USUAL_NM)
+        warn(
+            f"pixel.quantum_efficiency = {physics.pixel.quantum_efficiency:g} holds at every wavelength; if it was measured at "
+            f"{USUAL_NM:g} nm, the absorption of silicon would make {abs(change):.0%} {'more' if change > 0 else 'fewer'} "
+            f"electrons of this light. State its wavelength ({stated}), or a table"
+        )
     shares = infrared_shares(irradiance, physics)
     if max(shares.values(), default=0.0) > INFRARED_SHARE:
         each = ", ".join(f"{share:.0%} of {letter}" for letter, share in shares.items())
@@ -71,6 +84,26 @@ def share_beyond(curve: EfficiencyCurve, irradiance: SpectralImage, physics: Pix
     between = _share_above(low_nm, high_nm, end_nm) - _share_above(low_nm, high_nm, physics.infrared_cut_nm)
     beyond = photons @ (last * between)
     return float((beyond / np.maximum(seen + beyond, np.finfo(float).tiny)).max())
+
+
+def flat_efficiency_change(irradiance: SpectralImage, physics: PixelPhysics) -> float:
+    """Return how much silicon's curve would change the electrons of a number that holds at every wavelength, relative to them.
+
+    The curve is that of `absorbed_efficiency`, for a number of `USUAL_NM` and the usual depth. 0 for a pixel whose efficiency is
+    no such number, and without electrons.
+    """
+    pixel = physics.pixel
+    flat = isinstance(pixel.quantum_efficiency, float) and pixel.quantum_efficiency_nm is None
+    if not flat or efficiencies_of(pixel.colour):
+        return 0.0
+
+    def electrons(**efficiency: float | None) -> float:
+        sensor = replace(physics, pixel=pixel.model_copy(update=efficiency))
+        return float(electrons_per_joule(sensor, irradiance) @ irradiance.mean_spectrum())
+
+    # A half, which every depth allows: only the ratio counts.
+    flat_e, curved_e = electrons(quantum_efficiency=0.5), electrons(quantum_efficiency=0.5, quantum_efficiency_nm=USUAL_NM)
+    return curved_e / flat_e - 1 if flat_e else 0.0
 
 
 def infrared_shares(irradiance: SpectralImage, physics: PixelPhysics) -> dict[str, float]:

@@ -27,7 +27,7 @@ from pixsim.optics.stack import LOWEST_LENS, Stack
 from pixsim.sensor.camera_data import has_common_scale
 from pixsim.sensor.colour import Layout, channel_efficiency
 from pixsim.sensor.colour_options import BIN, channels_of, efficiencies_of
-from pixsim.sensor.diffusion import SILICON_K
+from pixsim.sensor.diffusion import ABSORPTION_RANGE_NM, SILICON_K, absorption_per_um
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.mismatch import (
     E_PER_FC,
@@ -48,7 +48,7 @@ from pixsim.sensor.pixel_options import (
     Pixel,
     PixelOptions,
 )
-from pixsim.sensor.quantities import MAX_CODE_BITS, WELL_RANGE_E, GainDb, HotMedian, HotSpread
+from pixsim.sensor.quantities import MAX_CODE_BITS, WELL_RANGE_E, AbsorbedWavelength, AbsorptionDepth, GainDb, HotMedian, HotSpread
 from pixsim.sensor.saturation import full_well_for_e, saturation_capacity_e
 from pixsim.sensor.stack_options import StackOptions, stack_excluded_by
 from pixsim.sensor.stages import acting_on
@@ -56,7 +56,8 @@ from pixsim.sensor.technology import Junction, Technology, load_technology, numb
 
 # The public names; everything else is internal.
 __all__ = [
-    "PixelPhysics", "derive", "fill_factor_law", "given_efficiency", "growth_from_data_sheet", "implausible_numbers",
+    "PixelPhysics", "absorbed_efficiency", "derive", "fill_factor_law", "given_efficiency", "growth_from_data_sheet",
+    "implausible_numbers",
     "other_unit_of_pitch", "pitch_for_fill_factor_um", "response_curve",
     "sheet_disagreements", "silicon_curve", "smallest_pitch_um", "warn_of_disagreements", "warn_of_implausible_numbers",
 ]  # fmt: skip
@@ -346,6 +347,49 @@ def given_efficiency(wavelength_nm: Positives, given: float | EfficiencyCurve) -
         raise invalid("given", given, "a number, or at least two pairs of wavelength in nm and quantum efficiency")
     known_nm, efficiency = np.array(given).T
     return np.interp(nm, known_nm, efficiency, left=0.0, right=0.0)
+
+
+ABSORPTION_DEPTH_UM = 5.0  # of silicon that collects charge, where a data sheet states none
+
+
+def absorbed_share(wavelength_nm: Positives, depth_um: float) -> Array:
+    """Return the share 1 - e^(-αd) of light that silicon of a depth d absorbs at 300 K, (...) as the wavelengths.
+
+    Light below 300 nm, where the table of α begins, is absorbed as at 300 nm, and light beyond its end at 1200 nm is not.
+    """
+    nm = np.asarray(wavelength_nm, float)
+    low_nm, high_nm = ABSORPTION_RANGE_NM
+    share = -np.expm1(-absorption_per_um(np.clip(nm, low_nm, high_nm)) * depth_um)
+    return np.where(nm > high_nm, 0.0, share)
+
+
+@checks_arguments
+def absorbed_efficiency(
+    wavelength_nm: Positives, quantum_efficiency: UnitInterval, at_nm: AbsorbedWavelength, depth_um: AbsorptionDepth
+) -> Array:
+    """Return the QE η(λ) of silicon from its value at one wavelength, (...) as the wavelengths: η (1 - e^(-αd))/(1 - e^(-α₀d)).
+
+    Charge is collected from the surface to the depth d, and from nowhere below it. α is that of `absorption_per_um` at 300 K, α₀
+    its value at `at_nm`. The curve is constant below 300 nm, and 0 beyond 1200 nm.
+
+    quantum_efficiency : η at `at_nm`, electrons per photon
+    depth_um : d
+
+    Raises PixsimError if the QE of light that is absorbed completely is above 1.
+
+    >>> absorbed_efficiency([525, 850, 940], 0.65, 525.0, 5.0).round(3).tolist()
+    [0.65, 0.155, 0.058]
+    """
+    absorbed = float(absorbed_share(at_nm, depth_um))
+    if quantum_efficiency > absorbed:
+        got = f"{quantum_efficiency:g} at {at_nm:g} nm, where {depth_um:g} µm of silicon absorb {absorbed:.3g} of the light"
+        deeper = ""
+        if quantum_efficiency < 1:
+            needed_um = -math.log1p(-quantum_efficiency) / float(absorption_per_um(at_nm))
+            deeper = f"quantum_efficiency_depth_um of at least {needed_um:.3g}, or "
+        hint = f"Give {deeper}a table of wavelength in nm and quantum efficiency."
+        raise invalid("pixel.quantum_efficiency", got, f"at most {absorbed:.3g}, so that no wavelength has more than 1", hint)
+    return quantum_efficiency * (absorbed_share(wavelength_nm, depth_um) / absorbed)
 
 
 Registration = tuple[float | None, float | None]
@@ -727,8 +771,12 @@ class PixelPhysics:
         return np.asarray(sum(share * part for share, part in zip(layout.shares, parts, strict=True)))
 
     def _unfiltered_quantum_efficiency(self, wavelength_nm: Array) -> Array:
-        if self.pixel.quantum_efficiency is not None:
-            return given_efficiency(wavelength_nm, self.pixel.quantum_efficiency)
+        efficiency, at_nm = self.pixel.quantum_efficiency, self.pixel.quantum_efficiency_nm
+        if efficiency is not None:
+            if at_nm is None or isinstance(efficiency, tuple):
+                return given_efficiency(wavelength_nm, efficiency)
+            depth_um = self.pixel.quantum_efficiency_depth_um or ABSORPTION_DEPTH_UM
+            return absorbed_efficiency(wavelength_nm, efficiency, at_nm, depth_um)
         if self.technology.response_curve == "silicon":
             return silicon_curve(wavelength_nm, self.technology.peak_quantum_efficiency)
         return response_curve(wavelength_nm, self.pixel.response, self.technology.peak_quantum_efficiency)
@@ -1023,7 +1071,8 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
 
     technology : None loads the one that the pixel names
 
-    Raises PixsimError for an unknown technology, and for a pitch at or below the smallest one, which the message states.
+    Raises PixsimError for an unknown technology, for a pitch at or below the smallest one, which the message states, and as
+    `absorbed_efficiency`.
 
     >>> round(derive(Pixel(technology="0.35um", pitch_um=6.5)).fill_factor, 2)  # 30 % in Chen et al. (2000)
     0.31
@@ -1096,7 +1145,7 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
     hot_fraction, hot_median, hot_spread = hot_pixels(pixel, technology)
     check_colour(pixel, technology)
     charge = stack_options(pixel, technology)
-    return PixelPhysics(
+    physics = PixelPhysics(
         pixel=pixel,
         technology=technology,
         fill_factor=fill_factor,
@@ -1119,6 +1168,9 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         stack=None if charge is None else stack_of(charge, pixel, math.sqrt(area_um2)),
         charge=None if charge is None else Charge(charge, pixel.temperature_k),
     )
+    if pixel.quantum_efficiency_nm is not None:
+        physics.quantum_efficiency(pixel.quantum_efficiency_nm)  # refuses a value that the depth cannot have
+    return physics
 
 
 CAPACITY_WITHIN = 0.01  # of a saturation capacity: rounding of the data sheet's other numbers

@@ -15,6 +15,8 @@ from pixsim.optics.quantities import FNumber
 from pixsim.sensor.colour_options import BIN, ColourOptions, efficiencies_of
 from pixsim.sensor.number import Number, numbers_of
 from pixsim.sensor.quantities import (
+    AbsorbedWavelength,
+    AbsorptionDepth,
     AreaMismatch,
     Current,
     DarkSpread,
@@ -126,6 +128,14 @@ class PixelOptions(Record):
     quantum_efficiency: Annotated[
         QuantumEfficiency | None, Number(0.62, of_technology=True, also=("qe", "peak_qe", "quantum_efficiency_percent"))
     ] = Field(None, description="number, CSV file or pairs of (wavelength in nm, value); replaces the technology's response curve")
+    quantum_efficiency_nm: Annotated[AbsorbedWavelength | None, Number(525.0, is_certain=True)] = Field(
+        None,
+        description="wavelength at which quantum_efficiency, one number, was measured; the others follow from the absorption of "
+        "silicon (absent: the number holds at every wavelength)",
+    )
+    quantum_efficiency_depth_um: Annotated[AbsorptionDepth | None, Number(5.0)] = Field(
+        None, description="with quantum_efficiency_nm: depth of the silicon that collects charge, 3 to 12 among sensors (absent: 5)"
+    )
     quantum_efficiency_includes: Annotated[Literal["photodiode", "microlens"] | None, Number("microlens")] = Field(
         None,
         description="with a stack, where the quantum efficiency was measured: 'photodiode', on its area; 'microlens', on the whole "

@@ -27,6 +27,8 @@ HotSpread = Annotated[float, Field(ge=0, le=3)]  # at 3 the mean is 90 times the
 Doubling = Annotated[float, Field(ge=1, le=1e6)]
 StackHeight = Annotated[float, Field(ge=1e-3, le=1e4)]  # 1 nm ... 10 mm
 RefractiveIndex = Annotated[float, Field(ge=1, le=10)]
+AbsorbedWavelength = Annotated[float, Field(ge=300, le=1200)]  # where the absorption of silicon is tabulated
+AbsorptionDepth = Annotated[float, Field(ge=0.1, le=1e4)]  # beyond them there is no photodiode, and no wafer
 SiliconDepth = Annotated[float, Field(ge=0, le=1e4)]
 DiffusionLength = Annotated[float, Field(ge=1e-3, le=1e6)]
 Crosstalk = Annotated[float, Field(ge=0, le=0.8)]  # at 0.8 a pixel has no more of its light than each of its neighbours

@@ -25,6 +25,7 @@ from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.records import Record
 from pixsim.light.quantities import MIN_FRACTION
 from pixsim.sensor.labels import label_of
+from pixsim.sensor.pixel import ABSORPTION_DEPTH_UM, absorbed_share
 from pixsim.sensor.pixel_options import PixelOptions, excluded_by
 from pixsim.sensor.spread import Spread
 from pixsim.sensor.stack_options import StackOptions, stack_excluded_by
@@ -237,6 +238,9 @@ def bounds_of(record: Technology | PixelOptions, number: str) -> tuple[float | N
     schema = _properties(kind)[number]
     schema = next((one for one in schema.get("anyOf", ()) if one.get("type") == "number"), schema)
     low, high = schema.get("minimum", schema.get("exclusiveMinimum")), schema.get("maximum")
+    if number == "quantum_efficiency" and isinstance(record, PixelOptions) and record.quantum_efficiency_nm is not None:
+        depth_um = record.quantum_efficiency_depth_um or ABSORPTION_DEPTH_UM
+        high = float(absorbed_share(record.quantum_efficiency_nm, depth_um))
     return MIN_FRACTION if "exclusiveMinimum" in schema and low == 0 else low, high
 
 

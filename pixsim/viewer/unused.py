@@ -143,6 +143,19 @@ def of_response(c: Configuration) -> str:
     return of_channels(c) or (f"it is about the response file of 3T technologies, not of {c.process}" if has_none else "")
 
 
+def of_absorption(c: Configuration) -> str:
+    if isinstance(c.pixel.quantum_efficiency, tuple):
+        return "pixel.quantum_efficiency is a table, which states every wavelength"
+    if c.pixel.quantum_efficiency is None:
+        return of_channels(c) or "pixel.quantum_efficiency is not given"
+    return of_channels(c)
+
+
+def of_absorption_depth(c: Configuration) -> str:
+    flat = "pixel.quantum_efficiency holds at every wavelength without the one of its measurement (pixel.quantum_efficiency_nm)"
+    return of_absorption(c) or ("" if c.pixel.quantum_efficiency_nm else flat)
+
+
 def of_measurement(c: Configuration) -> str:
     if c.physics.stack is None:
         return "it matters to pixels with a stack (pixel.stack) only"
@@ -323,6 +336,8 @@ def fields_of(table: str, record: type[Record], *but: str) -> tuple[str, ...]:
 TAIL = "pixel.hot_pixel_median", "pixel.hot_pixel_spread"
 RULES = (
     Rule(("pixel.quantum_efficiency",), of_channels),
+    Rule(("pixel.quantum_efficiency_nm",), of_absorption),
+    Rule(("pixel.quantum_efficiency_depth_um",), of_absorption_depth),
     Rule(("pixel.response",), of_response),
     Rule(("pixel.quantum_efficiency_includes",), lambda c: "" if c.physics.stack else of_measurement(c)),
     Rule(("pixel.quantum_efficiency_f_number", "pixel.quantum_efficiency_pitch_um"), of_measurement),

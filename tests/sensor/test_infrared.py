@@ -11,7 +11,8 @@ import pytest
 
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
-from pixsim.sensor.infrared import infrared_shares, share_beyond, tables_of, warn_of_light
+from pixsim.scene.packaged import packaged_scenes
+from pixsim.sensor.infrared import flat_efficiency_change, infrared_shares, share_beyond, tables_of, warn_of_light
 from pixsim.sensor.outside import CENTRES_NM, OUTSIDE
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
@@ -93,6 +94,33 @@ def test_light_that_is_not_computed_counts_by_its_lamp() -> None:
     image = light(np.where(NM < 830, 1e-3 / NM, 0.0), **{OUTSIDE: lamps})
     (curve,) = tables_of(physics).values()
     assert share_beyond(curve, image, physics) == pytest.approx(310 / 710, rel=1e-7)  # from 800 to 1110 nm, of 400 to 1110 nm
+
+
+def flat(**more: Any) -> PixelPhysics:
+    sheet = {"full_well_e": 1e4, "read_noise_e": 2.0, "dark_current_e_per_s": 1.0, "quantum_efficiency": 0.65}
+    return derive(Pixel.model_validate({"pitch_um": 5.0, **sheet} | more))
+
+
+def test_change_of_a_flat_efficiency_is_that_of_the_stated_curve() -> None:
+    """The mean of the curve of 525 nm over even photons, over the number."""
+    curve = flat(quantum_efficiency_nm=525).quantum_efficiency(NM)
+    change = flat_efficiency_change(EVEN_PHOTONS, flat())
+    assert change == pytest.approx(curve.mean() / 0.65 - 1, rel=5e-3)  # means within bands, not their middles
+    assert flat_efficiency_change(EVEN_PHOTONS, flat(quantum_efficiency_nm=525)) == 0.0
+    assert flat_efficiency_change(EVEN_PHOTONS, grey([[400, 0.4], [1100, 0.4]])) == 0.0
+    assert flat_efficiency_change(EVEN_PHOTONS, coloured(quantum_efficiency=0.65)) == 0.0, "channels state what they see"
+
+
+@pytest.mark.parametrize(
+    ("lamp", "fewer"), [("led_b3", ""), ("d65", ""), ("fl11", ""), ("halogen", "69%"), ("led_850nm", "76%"), ("led_940nm", "91%")]
+)
+def test_flat_efficiency_is_told_in_halogen_and_infrared_light(lamp: str, fewer: str) -> None:
+    nm, watts = np.loadtxt(packaged_scenes()["flat"].parent / f"spectra/{lamp}.spd").T
+    image = light(np.interp(NM, nm, watts, left=0.0, right=0.0))
+    notes = said(flat(), image)
+    pattern = rf"pixel\.quantum_efficiency = 0\.65 holds at every wavelength; .* {fewer} fewer electrons of this light"
+    assert [bool(re.match(pattern, text)) for text in notes] == [True] * bool(fewer)
+    assert said(flat(quantum_efficiency_nm=525), image) == []
 
 
 def test_infrared_in_colours_is_told_by_channel() -> None:

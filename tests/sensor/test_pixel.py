@@ -263,6 +263,50 @@ def test_quantum_efficiency_given_with_infrared_cut():
 # --- Given values ---
 
 
+ONE_WAVELENGTH = {
+    "pitch_um": 3.45,
+    "full_well_e": 1e4,
+    "read_noise_e": 2.0,
+    "dark_current_e_per_s": 1.0,
+    "quantum_efficiency": 0.65,
+}
+
+
+def test_quantum_efficiency_of_one_wavelength_follows_absorption():
+    """0.65 at 525 nm: 1 - exp(-5 µm α), with α of Green (2008) at 525, 700, 850, 940 and 1000 nm worked out by hand, within 2 %."""
+    physics = derive(Pixel(**ONE_WAVELENGTH, quantum_efficiency_nm=525))
+    assert float(physics.quantum_efficiency(525.0)) == 0.65, "exactly: the number that was stated"
+    values = physics.quantum_efficiency(np.array([700.0, 850.0, 940.0, 1000.0]))
+    np.testing.assert_allclose(values, [0.404, 0.155, 0.058, 0.021], rtol=0.02)
+
+    # Depths among sensors: 3 to 12 µm.
+    for depth_um, expected in ((3.0, 0.105), (12.0, 0.308)):
+        deeper = derive(Pixel(**ONE_WAVELENGTH, quantum_efficiency_nm=525, quantum_efficiency_depth_um=depth_um))
+        assert float(deeper.quantum_efficiency(850.0)) == pytest.approx(expected, rel=0.01)
+
+    # Beyond the table of absorption: all light is absorbed, and none.
+    ends = physics.quantum_efficiency(np.array([200.0, 300.0, 1200.0, 1300.0]))
+    assert ends[0] == ends[1] == pytest.approx(0.65 / (1 - math.exp(-5 * 0.8311)), rel=1e-3)
+    assert 0 < ends[2] < 1e-4
+    assert ends[3] == 0
+
+
+def test_quantum_efficiency_above_1_at_another_wavelength_raises_with_the_least_depth():
+    """0.41 at 850 nm needs 1 - exp(-α d) of 0.41 or more, or violet light had more than one electron a photon."""
+    sheet = ONE_WAVELENGTH | {"quantum_efficiency": 0.41, "quantum_efficiency_nm": 850}
+    with pytest.raises(
+        PixsimError, match=r"got 0\.41 at 850 nm, .*absorb 0\.234 .* Give quantum_efficiency_depth_um of at least"
+    ) as error:
+        derive(Pixel(**sheet))
+    least_um = float(re.search(r"at least ([\d.]+)", str(error.value))[1])
+    shallow, deep = (Pixel(**sheet, quantum_efficiency_depth_um=factor * least_um) for factor in (0.99, 1.01))
+    with pytest.raises(PixsimError):
+        derive(shallow)
+    assert derive(deep).quantum_efficiency(np.arange(300.0, 1200.0)).max() == pytest.approx(1.0, rel=0.01)
+    with pytest.raises(PixsimError, match=r"Give a table"):
+        derive(Pixel(**sheet | {"quantum_efficiency": 1.0}))
+
+
 def test_derive_given_values_replace_derived():
     given = {"fill_factor": 0.9, "full_well_e": 6000, "read_noise_e": 3, "prnu": 0.007, "dsnu": 0, "offset_fpn": 1e-3}
     physics = pixels.derive(Pixel(pitch_um=1.4, bits=12, black_level_dn=64, column_fpn=0, dark_current_e_per_s=2, **given))

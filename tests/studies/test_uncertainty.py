@@ -21,6 +21,8 @@ from pixsim.base.layers import Layer
 from pixsim.base.records import checked
 from pixsim.base.toml import packaged
 from pixsim.report.uncertainty import uncertainty_blocks
+from pixsim.sensor.diffusion import absorption_per_um
+from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.spread import Spread
 from pixsim.sensor.technology import Technology, load_technology
@@ -406,6 +408,16 @@ def test_unknowns_of_sheet_draw_valid_pixels() -> None:
         "quantum_efficiency: 15.87% of its normal distribution lies outside 1e-12 to 1" in line for line in result.statements
     )
     assert unknowns_of_sheet(pixel, spreads, "a.toml")[0].name == "a.toml read_noise_e"
+
+
+def test_unknown_efficiency_of_one_wavelength_stays_below_what_silicon_absorbs() -> None:
+    """0.9 at 600 nm: 5 µm of silicon absorb 0.876 of that light, too little for it, and 10 µm 0.985, where draws end."""
+    deep = Pixel(**SHEET, quantum_efficiency_nm=600, quantum_efficiency_depth_um=10)
+    (unknown,) = unknowns_of_sheet(deep, {"quantum_efficiency": Spread(sd=0.05)})
+    highest = float(unknown.at(np.array([1.0]))[0])
+    assert highest == pytest.approx(1 - np.exp(-10 * absorption_per_um(600.0)), rel=1e-9)
+    physics = derive(deep.model_copy(update={"quantum_efficiency": highest}))
+    assert physics.quantum_efficiency(350.0) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_study_of_a_draw_has_its_numbers(tmp_path) -> None:

@@ -134,6 +134,7 @@ MOVES: dict[str, Any] = {
     "lens.veiling_glare": 0.2, "lens.veiling_glare_outside": 3.0, "lens.relative_illumination": [[0, 1], [0.07, 0.5]],
     "pixel.capacitance": ("paper", "mosis"), "pixel.well_limit": ("diode", "swing"), "pixel.conversion": ("junction", "linear"),
     "pixel.response": "literal", "pixel.quantum_efficiency": 0.3, "pixel.quantum_efficiency_includes": ("photodiode", "microlens"),
+    "pixel.quantum_efficiency_nm": 450.0, "pixel.quantum_efficiency_depth_um": 3.0,
     "pixel.quantum_efficiency_f_number": 2.0, "pixel.quantum_efficiency_pitch_um": 3.0, "pixel.infrared_cut_nm": (650.0, 2000.0),
     "pixel.fill_factor_law": "inset", "pixel.fill_factor": 0.45,
     "pixel.full_well_e": 5000.0, "pixel.saturation_capacity_e": 5000.0, "pixel.gain_e_per_dn": 3.0, "pixel.dn_per_e": 0.4,
@@ -182,6 +183,7 @@ MOVES |= {  # numbers that need no value of their own here; a plausible one may 
 }
 BESIDE: dict[str, dict[str, Any]] = {
     "lens.veiling_glare_outside": {"lens": {"veiling_glare": 0.2}},
+    "pixel.quantum_efficiency_depth_um": {"pixel": {"quantum_efficiency_nm": 525.0}},
     "pixel.hot_pixel_fraction": {"pixel": {"hot_pixel_median": 90.0}},
     "pixel.hot_pixel_median": {"pixel": HOT},
     "pixel.hot_pixel_spread": {"pixel": HOT},
