@@ -8,6 +8,7 @@ defocus are of like size, where the pupil is not round, and where chief rays of 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -30,6 +31,7 @@ from pixsim.optics.field_blur import (
 )
 from pixsim.optics.lens_waves import pupil_rays
 
+DEPTHS = "depths_m"  # entry of an irradiance's header: of what is in view, the nearest, the one least out of focus, the farthest
 FIELDS = (0.0, 0.7, 1.0)  # of the way to the corner of the die, where the blur is compared
 GROUPS = 2  # of wavelengths
 BESIDE_DISC = 32  # cells of a window beside those of the disc
@@ -62,6 +64,24 @@ def depth_of_disc_m(camera: Camera, signed_um: float) -> float:
     """Return the depth of a point with a disc; infinite for discs as large as those at infinity, and beyond."""
     dioptres = 1 / camera.object_distance_m - signed_um / _disc_per_dioptre_um(camera)
     return 1 / dioptres if dioptres > 0 else math.inf
+
+
+def depth_of_field_m(camera: Camera, blur_um: float) -> tuple[float, float]:
+    """Return the nearest and the farthest depth at which a point's disc on the sensor is at most `blur_um` wide, m.
+
+    Both are distances from the entrance pupil, and the farthest may be infinite. A real lens focuses on the object's distance, and
+    has the discs of a thin lens of its image distance and aperture.
+
+    >>> near_m, far_m = depth_of_field_m(Camera(focal_length_mm=50.0, f_number=2.0, object_distance_m=5.0), 30.0)
+    >>> round(near_m, 2), round(far_m, 2)  # u f²/(f² ± N c (u - f))
+    (4.47, 5.67)
+    """
+    return depth_of_disc_m(camera, -blur_um), depth_of_disc_m(camera, blur_um)
+
+
+def finite_or_none(depths_m: Sequence[float]) -> list[float | None]:
+    """Return depths as JSON can hold them: None for infinity."""
+    return [depth_m if math.isfinite(depth_m) else None for depth_m in depths_m]
 
 
 def _disc_per_dioptre_um(camera: Camera) -> float:

@@ -152,6 +152,10 @@ def plan_document(plan: Plan, scene: str, assumption: str) -> Document:
     measured = "the film's error is" if plan.exact else "the film's error and the render noise are"
     blocks: list[Block] = [Table("decisions", ("", "", "why", "saved", "bound on e-"), rows, words=(1, 2, 3))]
     blocks += [f"warning: {note}" for note in plan.warnings]
+    if plan.in_focus_m is not None:
+        near_m, far_m = plan.in_focus_m
+        far = f"{far_m:.4g} m" if math.isfinite(far_m) else "infinity"
+        blocks += [f"in focus, with blur of one pixel at most: {near_m:.4g} m to {far}"]
     blocks += [f"white: {plan.light_of_white}", f"{passes} (scene file: {plan.full_spp}); {error}, tolerance {plan.tolerance_e:g}"]
     blocks += [f"{measured} measured by a run or a study, and stated in its result, beside mean ΔE if too large"]
     blocks += [assumption] if assumption else []

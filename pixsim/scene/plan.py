@@ -34,7 +34,8 @@ from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import Tiling, rendered_camera, without_lens
 from pixsim.optics.camera_light import camera_factor, camera_pupil
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
-from pixsim.optics.lens_defocus import Defocus
+from pixsim.optics.lens_defocus import Defocus, depth_of_field_m, finite_or_none
+from pixsim.optics.quantities import AnyDistance
 from pixsim.scene import bands as spectral_bands, film, rules, white_plate
 from pixsim.scene.bands import Bands, Fit, Witness
 from pixsim.scene.contents import Lamp, Surfaces, checked_lamps, find_bodies, find_lamps, find_surfaces, light_range_nm, white_of
@@ -105,6 +106,7 @@ class Plan:
     white_w_per_m2_sr : radiance of texel value 1 of an emissive chart whose light has no luminance, or None
     plate : how a white plate is rendered beside the scene, if the scene asks for it and is no emissive chart
     of_chart : whether the scene asks for a white plate and is an emissive chart, whose texel value 1 takes its place
+    in_focus_m : the nearest and the farthest depth at which a point's disc is a pixel wide at most; None without a pixel
     held : (node, property, spectrum) of tables of surfaces that go on beyond their ends, as `beyond_tables = "hold"` has it
     """
 
@@ -137,6 +139,7 @@ class Plan:
     white_w_per_m2_sr: float | None = None
     plate: WhitePlate | None = field(default=None, repr=False)
     of_chart: bool = False
+    in_focus_m: tuple[AnyDistance, AnyDistance] | None = None
 
     @checks_arguments
     def camera_of(self, camera: Camera) -> Camera:
@@ -240,6 +243,8 @@ class Plan:
         table |= {"resolution": self.resolution, "diffraction": self.diffraction, "warnings": list(self.warnings)}
         table |= {"lens": self.lens, "integrator": self.integrator}
         table["white_spectrum"] = self.light_of_white
+        if self.in_focus_m is not None:
+            table["in_focus_m"] = finite_or_none(self.in_focus_m)
         if self.defocus:  # infinity is no number of JSON
             table["defocus"] = [
                 {name: value if math.isfinite(value) else None for name, value in asdict(one).items()} for one in self.defocus
@@ -386,6 +391,7 @@ def make_render_plan(
         outside=outside,
         plate=plate,
         of_chart=of_chart,
+        in_focus_m=depth_of_field_m(whole, derive(pixels[0]).as_read.read_pitch_um) if pixels else None,
         held=tuple((index, name, table) for (index, name), table in surfaces.held.items()),
     )
     return _without_samples(plan) if exact and not full else plan

@@ -27,6 +27,7 @@ from pixsim.light.spectral import DIFFUSER, DIFFUSER_W, RINGS, VISIBLE, WHITE_RA
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import LENS_HEADER, distortion_of, rendered_camera
 from pixsim.optics.camera_light import camera_factor
+from pixsim.optics.lens_defocus import DEPTHS, finite_or_none
 from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.scene import white_plate
 from pixsim.scene.bands import Fit, Pulse
@@ -34,9 +35,9 @@ from pixsim.scene.contents import named_files
 from pixsim.scene.guard.tracer import Tracer, tracer_of
 from pixsim.scene.job import Lamps, Passes, TraceJob, irregular, regular
 from pixsim.scene.plan import Plan, make_render_plan
-from pixsim.scene.rules import SAMPLE_COUNTS, irregular_tables
+from pixsim.scene.rules import BACKGROUNDS, SAMPLE_COUNTS, irregular_tables
 from pixsim.scene.scene import Scene, check_resolution, hash_of_tree, is_packaged, sensor_node
-from pixsim.scene.tree import Tree, parse_tree
+from pixsim.scene.tree import Tree, nodes_of, parse_tree
 from pixsim.scene.white_plate import WhitePlate, dark_plate
 
 
@@ -124,6 +125,8 @@ SCALAR_STRIPS = 16
 SAMPLES_PER_STRIP = 1 << 16  # of scalar variants; with fewer, the start of a render takes longer than the samples
 SPP_PER_RENDER = 4096  # Mitsuba's float32 sums drift by 1e-5 at 65 536; more samples are averaged here in float64
 ALLOWED_SPP = (1, 1 << 20)
+DEPTH_PLACES = 32  # across and down, at which a scene's depth is looked at
+PICTURES_AT_INFINITY = BACKGROUNDS - {"constant"}  # which is the same in and out of focus
 # Odd, so that seeds stay different modulo any power of two: the scalar variants multiply them by the number of samples of
 # a strip, modulo 2³². Consecutive runs take consecutive seeds.
 SEED_STRIDE = 2654435761
@@ -236,6 +239,7 @@ class Renderer:
         )
         self.packaged, self.ends_at_s = is_packaged(text), ends_at_s
         self.cache = CachedRenders(hash_of_job(scene, state, camera, plan, seed)) if keep else None
+        self.sees_infinity = any(node.plugin in PICTURES_AT_INFINITY for _, node in nodes_of(state, "Emitter"))
         self.begun = False  # whether there is a run of the variant
 
     @cached_property
@@ -281,6 +285,7 @@ class Renderer:
         result = self.cache.find(index, level) if self.cache and not self.plan.exact else None
         if result is None:
             try:
+                _ = self.depths_m  # now: behind the renders no time may be left
                 result = self._rendered(index, level, progress)
             except PixsimError as error:
                 self.leave_card(error)
@@ -291,6 +296,26 @@ class Renderer:
             progress(1.0)
         self.begun = True
         return [self.distorted(planes) for planes in result[0]], result[1]
+
+    @cached_property
+    def depths_m(self) -> list[float]:
+        """Depths of what is in view in m: the nearest, the one least out of focus, and the farthest.
+
+        Empty where the plan needs no lens, since all is in focus, and where a depth in view is not known.
+        """
+        if self.plan.lens == "perspective":
+            return []
+        key = self.cache and f"{self.cache.job}-depths"
+        content = cache.arrays(KIND, key) if key else None
+        depths_m = self.tracer.depths(DEPTH_PLACES) if content is None else content["depths_m"]
+        if key and content is None:
+            cache.store_arrays(KIND, key, {"depths_m": depths_m})
+
+        seen_m = depths_m if self.sees_infinity else depths_m[~np.isinf(depths_m)]
+        if not seen_m.size or np.isnan(seen_m).any():
+            return []
+        defocus = np.abs(1 / seen_m - 1 / self.camera.object_distance_m)
+        return [float(depth_m) for depth_m in (seen_m.min(), seen_m.flat[defocus.argmin()], seen_m.max())]
 
     def distorted(self, planes: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return pictures (H, W, pulses) as the chief rays of a real lens show them; as they are for a thin lens."""
@@ -382,6 +407,7 @@ class Renderer:
             raise invalid("rendered picture", "a black picture", "some light", hint)
         white = self.diffuser if diffuser is None else diffuser
         header = provenance(self.source, self.camera, self.plan, self.seed, spp) | {"film": list(self.size)} | white | more
+        header |= {DEPTHS: finite_or_none([float(f"{depth_m:.6g}") for depth_m in self.depths_m])} if self.depths_m else {}
         if self.plan.factored:
             planes = [picture[:, :, pulse] for picture in pictures for pulse in range(picture.shape[2])]
             stored: NDArray[np.float32] = zeros((len(planes), *self.field), np.float32)

@@ -1,7 +1,8 @@
-"""What a user should know of the light that a pixel sees, and of what it does not say of it: mostly of infrared light."""
+"""What a user should know of the light that a pixel sees: out of focus, beyond a table, or infrared."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -12,12 +13,14 @@ from pixsim.base.notes import warn
 from pixsim.light.curves import EfficiencyCurve
 from pixsim.light.spectral import SpectralImage, photons_per_joule
 from pixsim.optics.camera import Camera
+from pixsim.optics.lens_defocus import DEPTHS, signed_disc_um
 from pixsim.sensor.collection import warn_of_stack_limits
 from pixsim.sensor.colour_options import efficiencies_of
 from pixsim.sensor.integration import electrons_per_joule
 from pixsim.sensor.outside import CENTRES_NM, EDGES_NM, OUTSIDE, SHOWN_SHARE
 from pixsim.sensor.pixel import PixelPhysics
 
+BLURRED_PIXELS = 2.0  # disc of a point in pixels, of which a note tells
 INFRARED_NM = 700.0  # beyond, a channel of a colour sensor sees nothing that the eye does
 USUAL_NM = 525.0  # at which data sheets state a quantum efficiency
 FLAT_CHANGE = 0.25  # of the electrons, by the curve of silicon in place of one number, of which a note tells
@@ -25,8 +28,10 @@ INFRARED_SHARE = 0.05  # of a channel's signal, of which a note tells
 
 
 def warn_of_light(physics: PixelPhysics, camera: Camera, irradiance: SpectralImage) -> None:
-    """Warn of what a pixel's model does not hold for in a light, and of infrared light in its colours."""
+    """Warn of a scene out of focus, of light for which a pixel's model does not hold, and of infrared light in its colours."""
     warn_of_stack_limits(physics, camera, irradiance.wavelength_nm)
+    if note := focus_note(physics.as_read.read_pitch_um, camera, irradiance):
+        warn(note)
     for name, curve in tables_of(physics).items():
         share = share_beyond(curve, irradiance, physics)
         if share > SHOWN_SHARE:
@@ -50,6 +55,27 @@ def warn_of_light(physics: PixelPhysics, camera: Camera, irradiance: SpectralIma
             f"infrared beyond {INFRARED_NM:g} nm is {each}, which no eye sees: it is part of the colour error. "
             f"A filter keeps it out ({setting('pixel.infrared_cut_nm', 650.0)})"
         )
+
+
+def focus_note(pitch_um: float, camera: Camera, irradiance: SpectralImage) -> str:
+    """Return what to say of a scene of which every visible point is a disc of more than `BLURRED_PIXELS`; empty for others."""
+    depths = irradiance.header.get(DEPTHS)
+    if not isinstance(depths, list) or len(depths) != 3 or not all(depth is None or isinstance(depth, float) for depth in depths):
+        return ""
+    nearest_m, sharpest_m, farthest_m = (math.inf if depth is None else depth for depth in depths)
+    if sharpest_m <= 0:
+        return ""
+    disc_um = abs(signed_disc_um(camera, sharpest_m))
+    if disc_um <= BLURRED_PIXELS * pitch_um:
+        return ""
+
+    nearest, farthest = (f"{depth_m:.4g} m" if math.isfinite(depth_m) else "infinity" for depth_m in (nearest_m, farthest_m))
+    place = nearest if nearest == farthest else f"{nearest} to {farthest}"
+    return (
+        f"nothing in view is in focus: the camera focuses at {camera.object_distance_m:.4g} m, and the scene is at {place}, "
+        f"where points are discs of {disc_um:.3g} µm or more, {disc_um / pitch_um:.3g} pixels of {pitch_um:g} µm. The focus is "
+        f"{setting('camera.object_distance_m')} or, without it, the focus_distance of the scene, both in metres"
+    )
 
 
 def tables_of(physics: PixelPhysics) -> dict[str, EfficiencyCurve]:

@@ -21,6 +21,7 @@ from pixsim.base.progress import Stage, no_stage, share_of, watched
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.optics.exchange import camera_of_light, read_with_camera
+from pixsim.optics.lens_defocus import depth_of_field_m, finite_or_none
 from pixsim.scene.convergence import without_clock
 from pixsim.scene.packaged import packaged_scenes
 from pixsim.scene.plan import Plan
@@ -373,6 +374,7 @@ class RunResult(LitRun):
         """Return score.json: the results of the first sensor, then the settings, and what is known of further sensors.
 
         `pixels` and `scored_dots` are rows and columns; `border_um`, above and to the left, is the border that is not scored.
+        `in_focus_m` are the nearest and the farthest depth with a blur disc of a pixel at most, the farthest null if infinite.
         """
         prepared, settings, score = self.prepared, self.settings, self.score
         more: dict[str, Any] = {"chosen": {**prepared.view}}
@@ -408,6 +410,7 @@ class RunResult(LitRun):
             "dark": self.dark,
             "causes": [cause.as_dict() for cause in self.causes],
             "camera": self.camera.model_dump(),
+            "in_focus_m": finite_or_none(depth_of_field_m(self.camera, score.physics.as_read.read_pitch_um)),
             "exposure": settings.exposure.model_dump(),
             "correction": settings.correction.model_dump(),
             **({"motion": settings.motion.model_dump()} if settings.motion.is_on else {}),

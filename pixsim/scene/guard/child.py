@@ -241,3 +241,7 @@ class ChildTracer:
         assert passes is not None
         result: NDArray[np.float32] = self._ask(request, (rows[1] - rows[0], self.job.size[1]), len(passes.pulses))
         return result
+
+    def depths(self, side: int) -> NDArray[np.float32]:
+        result: NDArray[np.float32] = self._ask({"side": side}, (side, side), 1)
+        return result

@@ -147,6 +147,39 @@ class OwnTracer:
             pictures = passes.means([np.array(light[lane]) for lane in range(WAVELENGTHS)], spp)
             return pictures.reshape(rows[1] - rows[0], width, -1)
 
+    def depths(self, side: int) -> NDArray[np.float32]:
+        """Return what `Tracer.depths` describes: one ray at each place, through the middle of the lens."""
+        height, width = self.job.size
+        middles = (np.arange(side) + 0.5) / side
+        x, y = (places.ravel().astype(np.float32) for places in np.meshgrid(middles, middles))
+        with speaking_mitsuba(self.job.variant) as mi:
+            film = {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}}
+            sensor, (world, _) = self._sensor_with(mi, film, "independent", 1), self.loaded[0]
+            if self._scalar:
+                values = [_depth(mi, world, sensor, mi.Point2f(*place)) for place in zip(x.tolist(), y.tolist(), strict=True)]
+            else:
+                values = _depth(mi, world, sensor, mi.Point2f(mi.Float(x), mi.Float(y)))
+            return np.array(values, np.float32).reshape(side, side, 1)
+
+
+def _depth(mi: ModuleType, world: Scene, sensor: Sensor, place: Point2f) -> Float:
+    """Return the depth at places of the film, 0 to 1, as `Tracer.depths` has it."""
+    dr = drjit()
+    ray, _ = sensor.sample_ray(mi.Float(sensor.shutter_open()), mi.Float(0.5), place, mi.Point2f(0.5))
+    hit = world.ray_intersect(mi.Ray3f(ray))
+    in_camera = sensor.world_transform().inverse() @ hit.p
+
+    # A surface that scatters light, and lets none through, is seen where it is.
+    kinds, valid = mi.BSDFFlags, hit.is_valid()
+    if valid is False:  # of a scalar variant, where nothing hit has no surface
+        return math.inf
+    flags = hit.bsdf().flags()
+    scatters = mi.has_flag(flags, kinds.Diffuse) | mi.has_flag(flags, kinds.GlossyReflection)
+    passes = mi.has_flag(flags, kinds.Null) | mi.has_flag(flags, kinds.DeltaTransmission)
+    passes |= mi.has_flag(flags, kinds.GlossyTransmission)
+    depth = dr.select(scatters, dr.select(passes, math.nan, in_camera.z), math.nan)
+    return dr.select(valid, depth, math.inf)
+
 
 def _spread(
     mi: ModuleType, number: UInt32, spp: int, group: UInt32, count: int, cell: UInt32, seed: UInt32, jitter: Point2f

@@ -25,6 +25,12 @@ class Tracer(Protocol):
     def trace_together(self, scene: int, rows: tuple[int, int], sampler: str, spp: int, seed: int) -> NDArray[np.float32]:
         """Return rows of the pictures of all pulses of a scene's `Passes`, (rows, columns, pulses); `spp` of each pass."""
 
+    def depths(self, side: int) -> NDArray[np.float32]:
+        """Return depths along the optical axis in m at (side, side, 1) places of the film, seen from the middle of the lens.
+
+        They are infinite beyond all shapes, and NaN where a surface shows something at another depth: behind it, or in a mirror.
+        """
+
 
 def tracer_of(job: TraceJob, in_this_process: bool, ends_at_s: Callable[[], float | None] = lambda: None) -> Tracer:
     """Return what traces a job: this process, or a child of it, which can be killed and whose crash ends nothing else.

@@ -25,9 +25,10 @@ def answer(tracer: OwnTracer | None, request: dict[str, Any], pictures: int) -> 
         tracer = OwnTracer(JOBS.validate_python(request["job"]))
         return tracer, {"scenes": len(tracer.loaded)}
     assert tracer is not None
-    if "seed" not in request:
+    if "sampler" in request and "seed" not in request:
         return tracer, {"samples": tracer.sample_count(**request)}
-    picture = np.ascontiguousarray(tracer.trace(**request) if "film" in request else tracer.trace_together(**request))
+    trace = tracer.depths if "side" in request else tracer.trace if "film" in request else tracer.trace_together
+    picture = np.ascontiguousarray(trace(**request))
     os.ftruncate(pictures, picture.nbytes)
     left, at = picture.data.cast("B"), 0
     while at < len(left):
