@@ -151,15 +151,16 @@ class OwnTracer:
         """Return what `Tracer.depths` describes: one ray at each place, through the middle of the lens."""
         height, width = self.job.size
         middles = (np.arange(side) + 0.5) / side
-        x, y = (places.ravel().astype(np.float32) for places in np.meshgrid(middles, middles))
+        x, y = (middle.ravel().astype(np.float32) for middle in np.meshgrid(middles, middles))
         with speaking_mitsuba(self.job.variant) as mi:
             film = {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}}
             sensor, (world, _) = self._sensor_with(mi, film, "independent", 1), self.loaded[0]
             if self._scalar:
-                values = [_depth(mi, world, sensor, mi.Point2f(*place)) for place in zip(x.tolist(), y.tolist(), strict=True)]
+                places = zip(x.tolist(), y.tolist(), strict=True)
+                depths_m = np.array([_depth(mi, world, sensor, mi.Point2f(*place)) for place in places], np.float32)
             else:
-                values = _depth(mi, world, sensor, mi.Point2f(mi.Float(x), mi.Float(y)))
-            return np.array(values, np.float32).reshape(side, side, 1)
+                depths_m = np.array(_depth(mi, world, sensor, mi.Point2f(mi.Float(x), mi.Float(y))), np.float32)
+            return depths_m.reshape(side, side, 1)
 
 
 def _depth(mi: ModuleType, world: Scene, sensor: Sensor, place: Point2f) -> Float:
@@ -171,8 +172,8 @@ def _depth(mi: ModuleType, world: Scene, sensor: Sensor, place: Point2f) -> Floa
 
     # A surface that scatters light, and lets none through, is seen where it is.
     kinds, valid = mi.BSDFFlags, hit.is_valid()
-    if valid is False:  # of a scalar variant, where nothing hit has no surface
-        return math.inf
+    if mi.variant().startswith("scalar") and not valid:  # there is no surface to ask
+        return mi.Float(math.inf)
     flags = hit.bsdf().flags()
     scatters = mi.has_flag(flags, kinds.Diffuse) | mi.has_flag(flags, kinds.GlossyReflection)
     passes = mi.has_flag(flags, kinds.Null) | mi.has_flag(flags, kinds.DeltaTransmission)
