@@ -63,7 +63,7 @@ def focus_note(pitch_um: float, camera: Camera, irradiance: SpectralImage) -> st
     if not isinstance(depths, list) or len(depths) != 3 or not all(depth is None or isinstance(depth, float) for depth in depths):
         return ""
     nearest_m, sharpest_m, farthest_m = (math.inf if depth is None else depth for depth in depths)
-    if sharpest_m <= 0:
+    if not sharpest_m > 0:
         return ""
     disc_um = abs(signed_disc_um(camera, sharpest_m))
     if disc_um <= BLURRED_PIXELS * pitch_um:
@@ -127,8 +127,9 @@ def flat_efficiency_change(irradiance: SpectralImage, physics: PixelPhysics) -> 
         sensor = replace(physics, pixel=pixel.model_copy(update=efficiency))
         return float(electrons_per_joule(sensor, irradiance) @ irradiance.mean_spectrum())
 
-    # A half, which every depth allows: only the ratio counts.
-    flat_e, curved_e = electrons(quantum_efficiency=0.5), electrons(quantum_efficiency=0.5, quantum_efficiency_nm=USUAL_NM)
+    # A half, which the usual depth allows: only the ratio counts.
+    flat_e = electrons(quantum_efficiency=0.5)
+    curved_e = electrons(quantum_efficiency=0.5, quantum_efficiency_nm=USUAL_NM, quantum_efficiency_depth_um=None)
     return curved_e / flat_e - 1 if flat_e else 0.0
 
 

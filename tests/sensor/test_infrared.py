@@ -106,6 +106,7 @@ def test_change_of_a_flat_efficiency_is_that_of_the_stated_curve() -> None:
     curve = flat(quantum_efficiency_nm=525).quantum_efficiency(NM)
     change = flat_efficiency_change(EVEN_PHOTONS, flat())
     assert change == pytest.approx(curve.mean() / 0.65 - 1, rel=5e-3)  # means within bands, not their middles
+    assert flat_efficiency_change(EVEN_PHOTONS, flat(quantum_efficiency_depth_um=0.2)) == change, "a depth that nothing uses"
     assert flat_efficiency_change(EVEN_PHOTONS, flat(quantum_efficiency_nm=525)) == 0.0
     assert flat_efficiency_change(EVEN_PHOTONS, grey([[400, 0.4], [1100, 0.4]])) == 0.0
     assert flat_efficiency_change(EVEN_PHOTONS, coloured(quantum_efficiency=0.65)) == 0.0, "channels state what they see"
