@@ -30,7 +30,6 @@ from pixsim.show.pages import plain
 
 FIELDS = 9  # from the axis to the largest, of spots, PSFs and MTFs
 CURVE_FIELDS = 33
-NEAR_AXIS = 1e-3  # of the largest field: distortion on the axis is its limit, not 0 if the plane is out of focus
 SPOT_RINGS = 6  # of rays: 1, 6, 12 … in each
 FREQUENCIES = (10.0, 30.0, 60.0)  # lp/mm
 MTF_POINTS = 61
@@ -126,12 +125,12 @@ class LensData:
     @property
     def airy_um(self) -> float:
         """Radius of the first dark ring of diffraction on the axis, at the primary wavelength."""
-        return 1.22e-3 * self.lens.primary_nm * self.primary.f_number
+        return 1.22e-3 * self.lens.primary_nm * self.lens.working_f_number
 
     @property
     def diffraction_mtf(self) -> Array:
         """MTF of a lens without aberrations on the axis, for the wavelengths together, (n,)."""
-        return _diffraction_mtf(self.frequency_lp_per_mm, self.wavelength_nm, self.primary.f_number)
+        return _diffraction_mtf(self.frequency_lp_per_mm, self.wavelength_nm, self.lens.working_f_number)
 
     @property
     def mtf50_lp_per_mm(self) -> Array:
@@ -205,6 +204,7 @@ class LensData:
             "object_distance_mm": lens.object_distance_mm if math.isfinite(lens.object_distance_mm) else None,
             "image_distance_mm": lens.prescription.surfaces[-1].thickness_mm,
             "stop_semi_diameter_mm": lens.stop_semi_diameter_mm,
+            "working_f_number": lens.working_f_number,
             "fresnel_transmittance": lens.fresnel_transmittance(lens.primary_nm),
             "reflectance": self.reflectance,
             "reflected_twice": [plain(vars(each)) for each in self.ghosts],
@@ -260,7 +260,7 @@ def lens_data(
         off = waves.chief_y_mm[:, None] - lens.chief_ray(angle, primary).height_mm
         spots.append(Spot(*(np.where(seen, 1e3 * part, np.nan) for part in (waves.x_mm, waves.y_mm + off))))
     asked = asked_frequencies(pitch_um)
-    shortest, f_number = float(wavelengths.min()), lens.first_order(primary).f_number
+    shortest, f_number = float(wavelengths.min()), lens.working_f_number
     cutoff = float(cutoff_cy_per_mm(shortest, f_number))
     highest = max(1.1 * max(asked), min(cutoff, 1.5 * max(asked), 150.0))
     frequency = np.unique(np.concatenate([np.linspace(0.0, highest, MTF_POINTS), asked]))
@@ -287,7 +287,7 @@ def lens_data(
     curves = {
         "image_height_mm": chief.height_mm,
         "chief_ray_angle_deg": chief.angle_deg,
-        "distortion": lens.distortion(np.maximum(curve, NEAR_AXIS * largest)) if largest else np.zeros(1),
+        "distortion": lens.distortion(curve),
         "relative_illumination": illumination / illumination[0],
         "tangential_focus_mm": tangential,
         "sagittal_focus_mm": sagittal,
@@ -352,8 +352,7 @@ def ray_spreads(
     rays = GRID**2 * field_deg.size * wavelength_nm.size * len(lens.prescription.surfaces)
     grid = np.linspace(-1, 1, round(GRID * min(1.0, math.sqrt(MOST_TRACED / rays))))
     x, y = (part[np.hypot(*np.meshgrid(grid, grid)) <= 1] for part in np.meshgrid(grid, grid))
-    f_number = lens.first_order(lens.primary_nm).f_number
-    limit = _diffraction_mtf(frequency_lp_per_mm, wavelength_nm, f_number)
+    limit = _diffraction_mtf(frequency_lp_per_mm, wavelength_nm, lens.working_f_number)
     edges = (np.arange(MOST_SAMPLES + 2) - (MOST_SAMPLES + 1) / 2) * pitch_um
     psfs, mtf = [], []
     for angle in field_deg:

@@ -231,11 +231,13 @@ Picture = NDArray[np.float32] | Array
 class Distortion:
     """Where the points of an image would lie without distortion.
 
-    height_mm, undistorted_mm : (n,), from the axis on
+    height_mm, undistorted_mm : (n,), from the axis on; the latter in the thin lens's image
+    image_scale : of a very small image on the sensor, relative to the thin lens's; not 1 out of the paraxial focus
     """
 
     height_mm: Array
     undistorted_mm: Array
+    image_scale: float = 1.0
 
     @property
     def widening(self) -> float:
@@ -252,9 +254,13 @@ class Distortion:
         return _moved(picture, pitch_um, _odd_spline(self.height_mm, self.undistorted_mm), float(self.height_mm[-1]), widening)
 
     def removed(self, picture: Picture, pitch_um: float) -> Array:
-        """Return a picture that the lens shows, (H, W), without distortion; what it does not show goes on as its sides."""
-        inverse = _odd_spline(self.undistorted_mm, self.height_mm)
-        return _moved(picture, pitch_um, inverse, float(self.undistorted_mm[-1]), 1.0)
+        """Return a picture that the lens shows, (H, W), without distortion; what it does not show goes on as its sides.
+
+        It keeps the scale of the lens's image on the axis.
+        """
+        straight_mm = self.image_scale * self.undistorted_mm
+        inverse = _odd_spline(straight_mm, self.height_mm)
+        return _moved(picture, pitch_um, inverse, float(straight_mm[-1]), 1.0)
 
 
 def _moved(picture: Picture, pitch_um: float, source_mm: Callable[..., Array], most_mm: float, widening: float) -> Array:
@@ -337,7 +343,8 @@ def distortion_of(camera: Camera) -> Distortion | None:
     if camera.lens is None:
         return None
     heights, fields = field_angles(camera.lens, camera.object_distance_m, math.hypot(camera.die_mm, camera.height_mm) / 2)
-    return Distortion(heights, camera.image_distance_mm * np.tan(np.radians(fields)))
+    image_scale = traced_lens(camera.lens, camera.object_distance_m).image_scale_mm / camera.image_distance_mm
+    return Distortion(heights, camera.image_distance_mm * np.tan(np.radians(fields)), image_scale)
 
 
 def without_lens(camera: Camera) -> Camera:

@@ -1027,17 +1027,40 @@ class Lens:
         _, angle = paraxial(self.prescription.surfaces, indices, np.array([from_vertex]), np.array([1.0]))
         return float(-self.object_distance_mm / angle[0])
 
+    @cached_property
+    def image_scale_mm(self) -> float:
+        """Chief ray's height in the image plane over the tangent of a very small field angle, at the primary wavelength, in mm.
+
+        It differs from `paraxial_height_mm` where the image plane is not the paraxial focus.
+        """
+        indices = self._indices(np.array([self.primary_nm]))
+        surfaces = self.prescription.surfaces
+        at_first_vertex = -self._entrance_pupil_mm
+        height, angle = paraxial(surfaces, indices, np.array([at_first_vertex]), np.array([1.0]))
+        in_image_plane = height + surfaces[-1].thickness_mm / indices[-1] * angle
+        return float(in_image_plane.flat[0])
+
+    @property
+    def working_f_number(self) -> float:
+        """Half the reciprocal of the image's paraxial numerical aperture, at the primary wavelength, a number.
+
+        The f-number for an object at infinity. Light from a nearer object converges less.
+        """
+        return abs(self.paraxial_height_mm) / self.entrance_pupil_diameter_mm
+
     @checks_arguments
     def distortion(self, field_deg: ArrayLike, wavelength_nm: Positive | None = None) -> Array:
-        """Return the chief ray's height over the paraxial image height, minus 1, a ratio (...); 0 on the axis.
+        """Return the chief ray's height over `image_scale_mm` times the field's tangent, minus 1, a ratio (...); 0 on the axis.
 
-        wavelength_nm : of the chief ray, the primary one by default; the paraxial height is that of the primary
+        The reference is the image of a very small field in the same plane, so that defocus is no distortion.
+
+        wavelength_nm : of the chief ray, the primary one by default; the reference is that of the primary
 
         Raises PixsimError as `chief_ray` does.
         """
         angle = np.asarray(field_deg, float)
         height = self.chief_ray(angle, self.primary_nm if wavelength_nm is None else wavelength_nm).height_mm
-        ideal = self.paraxial_height_mm * np.tan(np.radians(angle))
+        ideal = self.image_scale_mm * np.tan(np.radians(angle))
         return np.asarray(np.divide(height, ideal, out=np.ones(np.shape(ideal)), where=ideal != 0) - 1)[()]
 
     @checks_arguments

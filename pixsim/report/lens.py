@@ -161,7 +161,7 @@ def psf_plate(data: LensData) -> Plate:
     """Show the point spread functions of some fields on one scale."""
     shown = shown_fields(data)
     largest = max(data.spots[index].rms_um for index in shown if not data.dark[index])
-    half = max(SHOWN_HALF_WIDTHS * largest, 4e-3 * data.lens.primary_nm * data.primary.f_number)
+    half = max(SHOWN_HALF_WIDTHS * largest, 4e-3 * data.lens.primary_nm * data.lens.working_f_number)
     figure, panels = panels_of(len(shown), 2.7, shared=True)
     table: dict[str, Column] = {}
     pictures = []
@@ -272,8 +272,8 @@ def curvature_plate(data: LensData) -> Plate:
     caption = (
         f"Distortion goes from {percent.min():.2f} to {percent.max():.2f} %, and the foci lie from {foci_mm.min():.3f} to "
         f"{foci_mm.max():.3f} mm behind the image plane. Field curvature and distortion at {data.lens.primary_nm:.5g} nm. Left: "
-        "foci of rays near the chief ray. Right: height "
-        "of the chief ray against focal length times tangent, so that an image plane off the paraxial focus is a part of it."
+        "foci of rays near the chief ray. Right: height of the chief ray against tangent times the scale of a very small image in "
+        "the same plane."
     )
     foci = {name: c[name] for name in ("tangential_focus_mm", "sagittal_focus_mm")}
     table = {"field_deg": data.curve_deg, **foci, "distortion_percent": percent}

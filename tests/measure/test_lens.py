@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from helpers.lenses import triplet
@@ -9,6 +11,9 @@ from helpers.lenses import triplet
 import pixsim
 from pixsim.measure.lens import cross_section, lens_data, line_mtf, ray_spreads, spot_points
 from pixsim.optics.diffraction import diffraction_otf
+
+DATA = Path(__file__).parents[1] / "data"
+RELAY = DATA / "cases/4-10-lens-distortion-on-axis/relay_1_5.zmx"
 
 
 def test_mtf_of_a_lens_without_aberrations_is_that_of_diffraction() -> None:
@@ -99,3 +104,38 @@ def test_rays_of_the_cross_section_meet_the_surfaces_and_the_stop() -> None:
             assert z[-1] == pytest.approx(cut.length_mm)
         (chief_mm,) = (y[-1] for height, _, y in rays if height == 0)
         assert chief_mm == pytest.approx(float(lens.chief_ray(field_deg, 550.0).height_mm), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("file", "percent"),
+    [
+        # By symmetry: the halves of this relay are mirror images about the stop, the stated object is imaged 1:1.
+        (RELAY, 0.0),
+        # Against optiland, as printed: (1 - .00329)/(1 - .00405) - 1.
+        (RELAY.with_name("c_schott.zmx"), 0.076),
+        (DATA / "lenses/US00583336-2-scaled.zmx", 1.02),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.*vignetting factors")
+def test_defocus_is_no_distortion(file: Path, percent: float) -> None:
+    """Lenses whose image plane is not the paraxial focus: on the axis 0, at the largest field as another program has it."""
+    lens = pixsim.load_lens(str(file))
+    data = lens_data(lens)
+    distortion = 100 * data.curves["distortion"]
+    assert abs(lens.paraxial_height_mm / lens.image_scale_mm - 1) > 0.003, "the plane is out of the paraxial focus"
+    assert distortion[0] == 0.0
+    assert abs(distortion[1]) < 0.003  # it grows with the square of the field, from 0: 1.02 %/32² is .001 %
+    # A unit of the last digit of the other program's.
+    assert distortion[-1] == pytest.approx(percent, abs=1e-9 if percent == 0 else 0.005 if percent > 1 else 0.001)
+
+
+def test_limit_of_diffraction_of_a_near_object_is_that_of_its_cone_of_light() -> None:
+    """The relay at 1:1, stopped down: half the reciprocal of the sine of its real cone, twice its f-number."""
+    lens = pixsim.load_lens(str(RELAY)).stopped_down(50.0)
+    cone_f_number = 0.5 / np.sqrt(float(lens.projected_solid_angle_sr(0.0, lens.primary_nm)) / np.pi)
+    data = lens_data(lens, [lens.primary_nm], pitch_um=25.0)
+    want = diffraction_otf(data.frequency_lp_per_mm, lens.primary_nm, cone_f_number)
+    # The plane is .9 mm from the paraxial focus, so that sine and slope of the cone differ by 1.4 %.
+    assert lens.working_f_number == pytest.approx(cone_f_number, rel=0.02)
+    assert np.abs(data.diffraction_mtf - want).max() < 0.02
+    assert data.airy_um == pytest.approx(1.22e-3 * lens.primary_nm * cone_f_number, rel=0.02)

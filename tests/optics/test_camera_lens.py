@@ -172,7 +172,21 @@ def test_points_lie_where_the_chief_rays_arrive() -> None:
         np.testing.assert_allclose(found, height_um / pitch_um * np.array([math.cos(turn), math.sin(turn)]), atol=0.02)
         back = distortion.removed(moved, pitch_um)
         found = np.array([(back * axis).sum() / back.sum() for axis in (x, y)])
-        np.testing.assert_allclose(found, at * widening * np.array([math.cos(turn), math.sin(turn)]), atol=0.03)
+        straight = at * widening * distortion.image_scale
+        np.testing.assert_allclose(found, straight * np.array([math.cos(turn), math.sin(turn)]), atol=0.03)
+
+
+def test_a_picture_without_distortion_keeps_the_scale_of_the_lens_on_the_axis() -> None:
+    """Also where the plane of best focus is not the paraxial one: near the axis, points stay where they are."""
+    distortion = distortion_of(with_lens("double_gauss", 24.0, focal_length_mm=45.0))
+    assert distortion is not None
+    assert abs(distortion.image_scale - 1) > 5e-4
+    straight_mm = distortion.image_scale * distortion.undistorted_mm
+    moved = np.abs(straight_mm[1:] / distortion.height_mm[1:] - 1)
+    # Distortion grows with the square of the height: 1/100 of that at a tenth of it.
+    tenth = np.flatnonzero(distortion.height_mm[1:] <= 0.1 * distortion.height_mm[-1])
+    assert tenth.size > 1
+    assert moved[tenth].max() < 0.015 * moved[-1]
 
 
 @pytest.mark.parametrize("file", ["phone", "double_gauss"])
