@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array, first_where
-from pixsim.base.errors import did_you_mean, invalid, names_in
+from pixsim.base.errors import PixsimError, did_you_mean, invalid, names_in
 from pixsim.base.files import digest_of
 from pixsim.light import spectral
 from pixsim.light.exr import read_channels
 from pixsim.light.spectral import HIGH_NM, LOW_NM, VISIBLE, WHITE_LAMPS, Span, Spectrum, grid_nm, tabulated
 from pixsim.optics.camera import Camera
-from pixsim.scene.mitsuba import evaluate_reflection, evaluate_spectrum
-from pixsim.scene.textures import EIGHT_BIT, check_share
+from pixsim.scene.mitsuba import evaluate_reflection, evaluate_spectrum, mitsuba_folder, warnings_of
+from pixsim.scene.textures import EIGHT_BIT, METAL_BY_NAME, check_share, has_colour
 from pixsim.scene.tree import Node, SpectrumTable, Tree, children, nodes_of, plain
 
 # The property with the spectrum of each stock emitter.
@@ -189,6 +189,17 @@ def planck(wavelength_nm: Array, temperature_k: float) -> Array:
         return np.asarray(wavelength_nm**-5.0 / np.expm1(SECOND_RADIATION_NM_K / (wavelength_nm * temperature_k)))
 
 
+def warnings_of_skies(state: Tree, variant: str) -> list[str]:
+    """Return what Mitsuba warns of in the skies of a scene: that the sun is below the horizon, so that they are dark."""
+    texts = []
+    for _, node in nodes_of(state, "Emitter"):
+        if node.plugin == "sunsky":
+            values = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in plain(node)}
+            simple = {name: value for name, value in values.items() if isinstance(value, int | float | list)}
+            texts += [f"{node.plugin}: {text}" for text in warnings_of({"type": node.plugin} | simple, variant)]
+    return texts
+
+
 def light_range_nm(lamps: Sequence[Lamp]) -> tuple[float, float] | None:
     """Return the shortest and the longest wavelength of lamps of known spectra; None if they are dark, or one is not known."""
     if any(lamp.spectrum is None for lamp in lamps):
@@ -269,6 +280,7 @@ class Surfaces:
     spectra : (n, G) of single surfaces on the range's grid of 1 nm, without neutral ones; None if they are unknown
     unknown : why they are unknown
     short : ranges of tables that end inside 360-830 nm; Mitsuba takes 0 outside
+    mirrors : metals whose index ends inside the range that is computed, in words; Mitsuba takes 0 outside
     span : range that is computed
     ending : surfaces that do not say what they are in all of the range, in words
     held : (node, property) -> table in place of its own, which goes on to the ends of the range as it ends
@@ -277,6 +289,7 @@ class Surfaces:
     spectra: Array | None = field(repr=False)
     unknown: str = ""
     short: tuple[str, ...] = ()
+    mirrors: tuple[str, ...] = ()
     span: Span = VISIBLE
     ending: tuple[str, ...] = ()
     held: dict[tuple[int, str], Spectrum] = field(default_factory=dict, repr=False)
@@ -304,12 +317,13 @@ class Ends:
     """What is found of spectra that end within the range that is computed.
 
     beyond : what they are there by the user's word; None if nobody says
-    short, ending, held : as of `Surfaces`; of tables with 0 beyond their ends `held` has them as they are
+    short, mirrors, ending, held : as of `Surfaces`; of tables with 0 beyond their ends `held` has them as they are
     """
 
     span: Span
     beyond: Beyond | None
     short: set[str] = field(default_factory=set)
+    mirrors: list[str] = field(default_factory=list)
     ending: list[str] = field(default_factory=list)
     held: dict[tuple[int, str], Spectrum] = field(default_factory=dict)
 
@@ -352,7 +366,7 @@ def find_surfaces(state: Tree, variant: str, span: Span = VISIBLE, beyond: Beyon
     def found(known: Array | None, unknown: str = "") -> Surfaces:
         if unknown:
             ends.unknown_beyond(unknown)
-        return Surfaces(known, unknown, tuple(sorted(ends.short)), span, tuple(ends.ending), ends.held)
+        return Surfaces(known, unknown, tuple(sorted(ends.short)), tuple(ends.mirrors), span, tuple(ends.ending), ends.held)
 
     if nodes_of(state, "Medium"):
         return found(None, "a medium of unknown spectra")
@@ -362,10 +376,16 @@ def find_surfaces(state: Tree, variant: str, span: Span = VISIBLE, beyond: Beyon
             return found(None, f"more than {MAX_SPECTRA} spectra of surfaces")
         if plugin not in SPECTRA:
             return found(None, f"a BSDF '{plugin}' of unknown spectra")
-        metal = _metal(state, node, variant, span) if plugin in METALS else []
+        try:
+            metal = _metal(state, node, variant, span) if plugin in METALS else []
+        except PixsimError as error:  # of a description that pixsim makes, in which Mitsuba names no element
+            raise PixsimError(f"the index of {words}: {error}") from None
         if metal is None:
             return found(None, f"an unknown refractive index of {plugin}")
         if metal:
+            low, high = _index_range_nm(state, node)
+            if low > span.low_nm or high < span.high_nm:
+                ends.mirrors.append(f"the index of {words}, {low:g}-{high:g} nm")
             ends.unknown_beyond(f"the metal of {words}")
         spectra += metal
         for name in SPECTRA[plugin]:
@@ -430,7 +450,24 @@ def _metal(state: Tree, node: Node, variant: str, span: Span) -> list[Array] | N
             if texture.plugin not in ("uniform", "regular", "irregular"):
                 return None
             described[key] = {"type": texture.plugin, **dict(plain(texture))}
-    return [evaluate_reflection(described, cosine, variant, span) for cosine in METAL_COSINES]
+    # Beyond its tables, where a metal renders as a mirror, its reflectance along the normal is 0/0.
+    return [np.nan_to_num(evaluate_reflection(described, cosine, variant, span), nan=1.0) for cosine in METAL_COSINES]
+
+
+def _index_range_nm(state: Tree, metal: Node) -> tuple[float, float]:
+    """Return the range in which both tables of a metal's index have values; all wavelengths where none is a table."""
+    tables, textures = [], children(metal, state)
+    for name in ("eta", "k"):
+        file = mitsuba_folder() / f"data/ior/{metal.get('material', 'none')}.{name}.spd"
+        if isinstance(metal.get(name), SpectrumTable):
+            value = metal[name]
+            tables += [] if value.uniform else [value.wavelengths]
+        elif name in textures:
+            table = table_of(state.nodes[textures[name]])
+            tables += [] if table is None else [table.nodes_nm]
+        elif file.is_file():
+            tables.append(np.loadtxt(file, usecols=0))
+    return max((float(nm[0]) for nm in tables), default=0.0), min((float(nm[-1]) for nm in tables), default=np.inf)
 
 
 MIN_VOLUME = 1e-200  # of a transformed unit cube
@@ -611,7 +648,12 @@ def check_textures(state: Tree) -> None:
             if node.kind == "BSDF" and (name.endswith(("reflectance", "transmittance")) or name == "base_color"):
                 for part in (index, *children(state.nodes[index], state).values()):  # of a checkerboard
                     shares[part] = f"{node.plugin}.{name}"
-            (maps_or_weights if node.plugin in MAPS or name in MAP_NAMES else others).add(index)
+            is_map = node.plugin in MAPS or name in MAP_NAMES
+            (maps_or_weights if is_map else others).add(index)
+            if is_map:
+                _check_map(state.nodes[index], node, name)
+            elif node.plugin in METALS and name in ("eta", "k"):
+                _check_index(state.nodes[index], node, name)
     maps = maps_or_weights - others
     files = {index: _file_of(node) for index, node in nodes_of(state, "Texture") if "filename" in node}
     raw = {path for index, path in files.items() if is_neutral(state.nodes[index]) and index not in maps}
@@ -636,6 +678,32 @@ def check_textures(state: Tree) -> None:
             _sound.add(digest)
             if path in named:
                 check_share(max(float(texels.max()) for texels in channels.values()), named[path], f"'{path.name}'")
+
+
+RAW = 'Write <boolean name="raw" value="true"/> in its <bitmap>.'
+
+
+def _check_map(texture: Node, owner: Node, name: str) -> None:
+    """Raise PixsimError for a bitmap that Mitsuba would convert to spectra where `owner` asks for its numbers."""
+    if texture.plugin != "bitmap":
+        return
+
+    path = _file_of(texture)
+    what = f"{owner.plugin} '{path.name}'" if owner.plugin in MAPS else f"{owner.plugin}.{name} '{path.name}'"
+    colour = has_colour(path)
+    if owner.plugin == "normalmap" and not colour:
+        raise invalid(what, "a picture of one channel", "one of three: the x, y and z of normals")
+    if colour and not texture.get("raw", False):
+        hint = f"{RAW} For a colour elsewhere, write another <bitmap> of this file."
+        raise invalid(what, "a colour picture without raw = true", "numbers as they are in the file", hint)
+
+
+def _check_index(texture: Node, owner: Node, name: str) -> None:
+    """Raise PixsimError for the refractive index of a metal as an RGB colour."""
+    coloured_bitmap = texture.plugin == "bitmap" and not is_neutral(texture) and has_colour(_file_of(texture))
+    if texture.plugin == "srgb" or coloured_bitmap:
+        allowed = "a number, a spectrum, or a bitmap with raw = true"
+        raise invalid(f"{owner.plugin}.{name}", f"a colour, of a texture {texture.plugin}", allowed, METAL_BY_NAME)
 
 
 BEYOND: dict[str, Literal["edge", "wrap", "symmetric"]] = {"clamp": "edge", "repeat": "wrap", "mirror": "symmetric"}

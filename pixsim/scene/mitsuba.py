@@ -100,21 +100,22 @@ def speaking_mitsuba(variant: str) -> Iterator[ModuleType]:
     except UnicodeDecodeError:  # Mitsuba quotes a file that is no text
         raise PixsimError("Mitsuba cannot load or render the scene: a file in it is damaged") from None
     except RuntimeError as error:
-        if _is_interrupt(error):
+        chain = list(_causes(error))
+        if any(isinstance(cause, KeyboardInterrupt) for cause in chain):  # while a kernel of Dr.Jit runs
             raise KeyboardInterrupt from None
-        text = re.sub(r"^\[\w+\.cpp:\d+\] ", "", str(error).strip())
+        # Dr.Jit says "(see above)" of an error in a kernel, whose cause has the words.
+        cause = next((cause for cause in chain if "(see above)" not in str(cause)), error)
+        text = re.sub(r"\[\w+\.cpp:\d+\] ", "", str(cause).strip())
         raise PixsimError("Mitsuba cannot load or render the scene: " + " ".join(text.split())) from None
     finally:
         mi.set_file_resolver(before)
 
 
-def _is_interrupt(error: BaseException | None) -> bool:
-    """Return whether an error wraps Ctrl-C, as Dr.Jit's errors do while a kernel runs."""
+def _causes(error: BaseException | None) -> Iterator[BaseException]:
+    """Iterate over an error and those that it wraps."""
     while error is not None:
-        if isinstance(error, KeyboardInterrupt):
-            return True
+        yield error
         error = error.__cause__ or error.__context__
-    return False
 
 
 def parse(text: str, variant: str) -> ParserState:
@@ -138,6 +139,56 @@ def evaluate_spectrum(description: dict[str, Any], variant: str) -> Array:
 
     key = content_hash([cache.version_fingerprint("mitsuba", "drjit"), variant, description])
     return cache.load_or_compute("spectra", key, read, compute, lambda values: {"values": values.tolist()})
+
+
+def warnings_of(description: dict[str, Any], variant: str) -> list[str]:
+    """Return what Mitsuba warns of while it builds a plugin; from the cache where it is known.
+
+    description : values as JSON has them; `to_world` as the rows of a matrix
+    """
+
+    def compute() -> list[str]:
+        with speaking_mitsuba(variant) as mi:
+            values = description.copy()
+            if "to_world" in values:
+                values["to_world"] = mi.ScalarTransform4f(np.array(values["to_world"]))
+            listener = _listener(mi)
+            logger = mi.logger()
+            others = [logger.appender(index) for index in range(logger.appender_count())]
+            logger.clear_appenders()
+            logger.add_appender(listener)
+            mi.set_log_level(mi.LogLevel.Warn)
+            try:
+                mi.load_dict(values)
+            finally:
+                mi.set_log_level(mi.LogLevel.Error)
+                logger.clear_appenders()
+                for other in others:
+                    logger.add_appender(other)
+            return listener.texts
+
+    key = content_hash([cache.version_fingerprint("mitsuba", "drjit"), variant, description])
+    return cache.load_or_compute(
+        "warnings", key, lambda content: list(map(str, content["texts"])), compute, lambda texts: {"texts": texts}
+    )
+
+
+def _listener(mi: ModuleType) -> Any:
+    """Return an appender of Mitsuba's log that keeps the texts of warnings, without time and class."""
+
+    class Listener(mi.Appender):  # type: ignore[misc,name-defined]
+        def __init__(self) -> None:
+            super().__init__()
+            self.texts: list[str] = []
+
+        def append(self, level: Any, text: str) -> None:
+            if level == mi.LogLevel.Warn:
+                self.texts.append(re.sub(r"^.*?\bWARN\s+(\[\w+\] )?", "", " ".join(text.split())))
+
+        def log_progress(self, *_: object) -> None:
+            """Mitsuba asks for it."""
+
+    return Listener()
 
 
 def evaluate_reflection(description: dict[str, Any], cosine: float, variant: str, span: Span = VISIBLE) -> Array:

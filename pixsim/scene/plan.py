@@ -8,6 +8,7 @@ from dataclasses import asdict, astuple, dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pixsim.base.arguments import Count, Positive, checks_arguments, checks_fields
 from pixsim.base.arrays import Array
@@ -38,7 +39,18 @@ from pixsim.optics.lens_defocus import Defocus, depth_of_field_m, finite_or_none
 from pixsim.optics.quantities import AnyDistance
 from pixsim.scene import bands as spectral_bands, film, rules, white_plate
 from pixsim.scene.bands import Bands, Fit, Witness
-from pixsim.scene.contents import Lamp, Surfaces, checked_lamps, find_bodies, find_lamps, find_surfaces, light_range_nm, white_of
+from pixsim.scene.contents import (
+    Lamp,
+    Surfaces,
+    checked_lamps,
+    find_bodies,
+    find_lamps,
+    find_surfaces,
+    light_range_nm,
+    planck,
+    warnings_of_skies,
+    white_of,
+)
 from pixsim.scene.film import GREEN_NM
 from pixsim.scene.real_lens import decide_defocus, decide_real_lens, real_lens_warnings
 from pixsim.scene.rules import TOLERANCE_E, Chart, Decision
@@ -49,7 +61,16 @@ from pixsim.sensor.collection import check_efficiency, half_sizes_um, scale_erro
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import pixels_on
 from pixsim.sensor.noise import SOURCES
-from pixsim.sensor.outside import SHOWN_SHARE, outside_header, outside_hint, outside_share, outside_words, span_of
+from pixsim.sensor.outside import (
+    CENTRES_NM,
+    SHOWN_SHARE,
+    inside,
+    outside_header,
+    outside_hint,
+    outside_share,
+    outside_words,
+    span_of,
+)
 from pixsim.sensor.photodiode import LINEAR_WITHIN, linear_limit_e
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
@@ -346,11 +367,12 @@ def make_render_plan(
         warnings.append(note)
     if surfaces.ending:
         warnings.append(f"outside {VISIBLE.words} these are what Mitsuba makes of them: {_named(surfaces.ending)}")
+    if surfaces.mirrors:
+        beyond = "Mitsuba takes 0 for the index of a metal beyond its tables, a perfect mirror where both end"
+        warnings.append(f"{beyond}; extend {_named(surfaces.mirrors)}")
     outside = outside_header(emitted, span)
-    ended = [lamp for lamp in emitted if lamp.nodes_nm[-1] <= HIGH_NM and lamp.values[-1] > ENDS_LIT * lamp.values.max()]
-    if ended and span.high_nm > HIGH_NM:
-        shortest = min(float(lamp.nodes_nm[-1]) for lamp in ended)
-        warnings.append(f"the light of a lamp ends at {shortest:g} nm, where it is not 0: it is taken as 0 beyond")
+    warnings += warnings_of_skies(state, scene.choice.reading)
+    warnings += _light_that_ends(state, every_lamp, span, seeing)
     left_out = max((outside_share(outside, derive(one)) for one in pixels), default=0.0)
     if left_out > SHOWN_SHARE:
         warnings.append(f"{outside_words(left_out, span)}: {outside_hint()}")
@@ -413,6 +435,57 @@ def _plate_of(scene: Scene, camera: Camera, state: Tree, sensor: Node, pixels: S
 
 
 ENDS_LIT = 1e-3  # of its largest value: a lamp's table that ends with less ends dark
+LINE_NM = 100.0  # a lamp's table that is shorter is a line, which ends where it says
+SKY_NM = 320.0, 720.0  # data of Mitsuba 3.9's sunsky, which is 0 outside
+SUN_K = 5772.0  # effective temperature (IAU 2015 resolution B3)
+
+
+def _light_that_ends(state: Tree, lamps: Sequence[Lamp], span: Span, seeing: Sequence[PixelPhysics]) -> list[str]:
+    """Return what to say of lamps whose data end where a sensor sees light, with the share of its electrons that may lack."""
+    channels = [channel for physics in seeing for channel in physics.channels]
+
+    def share(light: Array, beyond: NDArray[np.bool_]) -> float:
+        """Largest share of the electrons in any channel, of a spectrum (cells,), that comes from the cells beyond."""
+        shares = [0.0]
+        for channel in channels:
+            electrons = light * channel.quantum_efficiency(CENTRES_NM) * photons_per_joule(CENTRES_NM)
+            if electrons.sum() > 0:
+                shares.append(float(electrons[beyond].sum() / electrons.sum()))
+        return max(shares)
+
+    warnings = []
+    for lamp in (lamp.spectrum for lamp in lamps if lamp.spectrum is not None):
+        nodes, values = lamp.nodes_nm, lamp.values
+        if nodes[-1] - nodes[0] < LINE_NM:
+            continue
+
+        lit = ENDS_LIT * values.max()
+        held = np.where(inside(span), np.interp(CENTRES_NM, nodes, values), 0.0)
+        for word, end_nm, value, beyond in (
+            ("begins", nodes[0], values[0], nodes[0] > CENTRES_NM),
+            ("ends", nodes[-1], values[-1], nodes[-1] < CENTRES_NM),
+        ):
+            if value > lit and (part := share(held, beyond)) > SHOWN_SHARE:
+                warnings.append(
+                    f"the light of a lamp {word} at {end_nm:g} nm, where it is not 0: it is taken as 0 beyond; "
+                    f"if it stayed so, {part:.0%} of the electrons would come from there"
+                )
+
+    pictures = [state.nodes[index] for lamp in lamps if lamp.spectrum is None for index in lamp.pictures]
+    if pictures and span != VISIBLE:
+        names = ", ".join(dict.fromkeys(f"'{node.plugin}'" for node in pictures))
+        warnings.append(f"the light of a picture or an RGB colour is 0 outside {VISIBLE.words}, which counts here: {names}")
+
+    if any(node.plugin == "sunsky" for node in pictures):
+        # Air lets little of the sun through below 320 nm.
+        part = share(planck(CENTRES_NM, SUN_K), SKY_NM[1] < CENTRES_NM)
+        if part > SHOWN_SHARE:
+            warnings.append(
+                f"a sunsky has data from {SKY_NM[0]:g} to {SKY_NM[1]:g} nm, and is 0 beyond: of sunlight (a black body of "
+                f"{SUN_K:g} K), {part:.1%} of the electrons come from there; a filter keeps it out "
+                f"({setting('pixel.infrared_cut_nm', SKY_NM[1])})"
+            )
+    return list(dict.fromkeys(warnings))
 
 
 def _packaged_pixels() -> list[Pixel]:

@@ -31,11 +31,11 @@ from pixsim.optics.lens_defocus import DEPTHS, finite_or_none
 from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.scene import white_plate
 from pixsim.scene.bands import Fit, Pulse
-from pixsim.scene.contents import named_files
+from pixsim.scene.contents import named_files, warnings_of_skies
 from pixsim.scene.guard.tracer import Tracer, tracer_of
 from pixsim.scene.job import Lamps, Passes, TraceJob, irregular, regular
 from pixsim.scene.plan import Plan, make_render_plan
-from pixsim.scene.rules import BACKGROUNDS, SAMPLE_COUNTS, irregular_tables
+from pixsim.scene.rules import BACKGROUNDS, SAMPLE_COUNTS, cause_of_black, irregular_tables
 from pixsim.scene.scene import Scene, check_resolution, hash_of_tree, is_packaged, sensor_node
 from pixsim.scene.tree import Tree, nodes_of, parse_tree
 from pixsim.scene.white_plate import WhitePlate, dark_plate
@@ -207,7 +207,7 @@ class Renderer:
         camera = plan.camera_of(camera)
         self.source, self.camera, self.plan, self.seed = scene, camera, plan, seed
         self.seen, self.distortion = rendered_camera(camera), distortion_of(camera)
-        text = scene.text_for_camera(self.seen)
+        text = self.text = scene.text_for_camera(self.seen)
         state = parse_tree(text.text, scene.choice.reading)
         self.size = scene.film_shape(self.seen, state)
         for side in self.size:
@@ -288,6 +288,7 @@ class Renderer:
                 _ = self.depths_m  # now: behind the renders no time may be left
                 result = self._rendered(index, level, progress)
             except PixsimError as error:
+                error.args = (self.text.with_place(str(error)),)
                 self.leave_card(error)
                 return self.run(index, progress, level)
             if self.cache and not self.plan.exact:  # which takes no longer than reading a file
@@ -403,8 +404,7 @@ class Renderer:
         diffuser : what `self.diffuser` was before the render, behind which no time may be left for a white plate
         """
         if not any(self._lit(picture) for picture in pictures):
-            hint = "Check that the chart faces the camera and is lit, and that hide_emitters is off: area lights are one-sided."
-            raise invalid("rendered picture", "a black picture", "some light", hint)
+            raise invalid("rendered picture", "a black picture", "some light", self._cause_of_black())
         white = self.diffuser if diffuser is None else diffuser
         header = provenance(self.source, self.camera, self.plan, self.seed, spp) | {"film": list(self.size)} | white | more
         header |= {DEPTHS: finite_or_none([float(f"{depth_m:.6g}") for depth_m in self.depths_m])} if self.depths_m else {}
@@ -445,6 +445,12 @@ class Renderer:
         spectrum = plate_spectrum(plate, keep=self.cache is not None, ends_at_s=self.ends_at_s)
         per_nm = spectrum.cell_means(plan.bands.edges_nm)
         return {DIFFUSER: {"distance_m": float(f"{plate.distance_m:.6g}"), DIFFUSER_W: [float(f"{each:.9g}") for each in per_nm]}}
+
+    def _cause_of_black(self) -> str:
+        state = parse_tree(self.text.text, self.source.choice.reading)
+        sensor = sensor_node(state, self.source.sensor_id)[1]
+        dark_skies = warnings_of_skies(state, self.source.choice.reading)
+        return cause_of_black(state, sensor, self.seen, self.size[1] / self.size[0], dark_skies)
 
     def _lit(self, picture: Picture) -> bool:
         """Return whether there is light in a picture (H, W, pulses)."""

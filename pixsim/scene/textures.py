@@ -9,7 +9,7 @@ from pathlib import Path
 from pixsim.base.errors import invalid
 from pixsim.base.files import MAX_PICTURE, check_compression, judge_picture, opened
 from pixsim.base.notes import warn
-from pixsim.light.exr import judge_exr
+from pixsim.light.exr import judge_exr, read_channels
 
 EIGHT_BIT = (".png", ".jpg", ".jpeg", ".bmp", ".tga")
 HDR, EXR, PFM = ".hdr", ".exr", ".pfm"
@@ -22,6 +22,10 @@ STARTS = {
 HDR_SIZE = re.compile(rb"^-Y (\d{1,7}) \+X (\d{1,7})$", re.MULTILINE)
 PFM_SIZE = re.compile(rb"P[Ff]\s+(\d{1,7})\s+(\d{1,7})\s+(-?[\d.]{1,16})\s")
 MAX_HEAD = 1 << 12
+METAL_BY_NAME = (
+    'Name a metal, as <string name="material" value="Au"/>, or write its index as a <spectrum>: of an RGB colour '
+    "Mitsuba would make a reflectance, which no index is (gold would reflect 30 to 47 % too little)."
+)
 MAX_SHARE = 1.5  # of a reflectance: samples measured against a white standard exceed 1 by fluorescence or error, not by half
 
 
@@ -45,6 +49,20 @@ def inspect_picture(path: Path) -> None:
         size = PFM_SIZE.match(head)
         if size is None or int(size[1]) * int(size[2]) * 4 > os.path.getsize(path):
             raise invalid("texture", f"'{path}'", "a whole PFM")
+
+
+def has_colour(path: Path) -> bool:
+    """Return whether an inspected picture has colours, not one channel."""
+    suffix = path.suffix.lower()
+    if suffix == EXR:
+        return len(read_channels(path)[0]) > 1
+    if suffix in EIGHT_BIT:
+        from PIL import Image  # takes 0.02 s
+
+        with Image.open(path) as picture:
+            return len(picture.getbands()) > 2 or picture.mode == "P"
+    with opened(path, "texture", "a readable picture") as file:
+        return not file.read(2).startswith(b"Pf")
 
 
 def inspect_radiance(path: Path, what: str) -> None:

@@ -292,22 +292,28 @@ def _included(name: str, written: str, path: Path, line: int, scene: SceneFiles,
     return file
 
 
-def written(root: SceneElement) -> str:
-    """Return a tree as XML in ASCII, for Mitsuba: no comment, DOCTYPE, processing instruction, include or parameter."""
-    pieces: list[str] = []
-    _write(root, pieces)
-    return "".join(pieces)
+def written(root: SceneElement) -> tuple[str, tuple[str, ...]]:
+    """Return a tree as XML in ASCII, for Mitsuba: no comment, DOCTYPE, processing instruction, include or parameter.
+
+    Also return, for each of its lines, the place of its element in the user's files.
+    """
+    lines: list[str] = []
+    places: list[str] = []
+    _write(root, lines, places)
+    return "".join(lines), tuple(places)
 
 
-def _write(node: SceneElement, pieces: list[str]) -> None:
+def _write(node: SceneElement, lines: list[str], places: list[str]) -> None:
     attributes = "".join(f' {name}="{_escaped(value)}"' for name, value in node.attributes.items())
+    places.append(node.place)
     if not node.children:
-        pieces.append(f"<{node.tag}{attributes}/>")
+        lines.append(f"<{node.tag}{attributes}/>\n")
         return
-    pieces.append(f"<{node.tag}{attributes}>\n")
+    lines.append(f"<{node.tag}{attributes}>\n")
     for child in node.children:
-        _write(child, pieces)
-    pieces.append(f"</{node.tag}>\n")
+        _write(child, lines, places)
+    lines.append(f"</{node.tag}>\n")
+    places.append(node.place)
 
 
 def _escaped(value: str) -> str:

@@ -48,6 +48,7 @@ PROPERTY = re.compile(r"[a-z]{1,16}(_[a-z]{1,16}){0,3}[0-9]?")
 STEPS_OF_TRANSFORM = ("translate", "rotate", "scale", "lookat", "matrix")
 MAX_NAME = 256
 MAX_TABLES = 16 << 20  # characters of all files of spectra, which become part of the text
+LINE_OF_TEXT = re.compile(r"\bAt string \(line (\d{1,9}), col \d{1,9}\)")  # as Mitsuba names an element of a text
 WHOLE = re.compile(r"\s*-?\d{1,18}\s*")
 FLAGS = ("true", "false")
 OF_TEXTURES = ("value", "values", "color0", "color1")  # what a texture gives
@@ -62,12 +63,23 @@ class SceneText:
     names : of the parameters that it uses
     defaults : values of its <default> parameters
     content : of the XML file
+    places : of the element in each line of `text`, in the user's files
     """
 
     text: str
     names: frozenset[str]
     defaults: dict[str, str]
     content: str
+    places: tuple[str, ...] = ()
+
+    def with_place(self, message: str) -> str:
+        """Return a message of Mitsuba with the place of an element in the user's files, for its line in `text`."""
+
+        def place(line: re.Match[str]) -> str:
+            number = int(line[1]) - 1
+            return f"In {self.places[number]}" if 0 <= number < len(self.places) else line[0]
+
+        return LINE_OF_TEXT.sub(place, message)
 
 
 def open_scene(
@@ -92,7 +104,8 @@ def open_scene(
     root = inspector.scene(files.root)
     root = root if strength is None else with_strength(root, strength)
     root = root if plate is None else with_plate(root, plate)
-    return SceneText(written(root), frozenset(files.names), files.defaults, files.content)
+    text, places = written(root)
+    return SceneText(text, frozenset(files.names), files.defaults, files.content, places)
 
 
 class _Inspector:
@@ -213,7 +226,7 @@ class _Inspector:
         what = f"{node.parameter} ({parent}.{name})" if node.parameter else f"{parent}.{name}"
         if kind not in rule.tags:
             allowed = " or ".join(f"<{tag}>" for tag in (*rule.tags, *rule.kinds))
-            raise invalid(what, f"<{kind}> in {node.place}", allowed)
+            raise invalid(what, f"<{kind}> in {node.place}", allowed, rule.instead)
         if kind == "transform":
             for step in node.children:
                 _check_step(step, what)

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+from pixsim.scene.textures import METAL_BY_NAME
+
 LARGEST = 1e30  # of any number: float32 ends at 3.4e38
 SMALLEST = 1e-30  # of a spectrum or a scale that is not 0: below 1e-38 float32 has no full digits, and each operation is slow
 LIGHT_NM = (1.0, 1e5)
@@ -36,6 +38,7 @@ class Allowed:
     rgb_of_surface : each number of an <rgb> is from 0 to 1, as Mitsuba has it where it makes a reflectance of them
     is_share : a share of the light, as a reflectance is: numbers above 1 are warned of, and those above 1.5 refused
     file : kind of the file that it names: picture, mesh, volume; or metal, a table of Mitsuba's own
+    instead : what to write in place of an element that is not allowed
     """
 
     tags: tuple[str, ...]
@@ -48,6 +51,7 @@ class Allowed:
     file: str | None = None
     rgb_of_surface: bool = False
     is_share: bool = False
+    instead: str = ""
 
 
 @dataclass(frozen=True)
@@ -130,7 +134,8 @@ OF_DIELECTRICS = {
 OF_ROUGH = {
     "alpha": COLOUR, "alpha_u": COLOUR, "alpha_v": COLOUR, "distribution": words("beckmann", "ggx"), "sample_visible": FLAG,
 }  # fmt: skip
-OF_METALS = {"material": METAL, "eta": COLOUR, "k": COLOUR, "specular_reflectance": SHARE}
+INDEX_OF_METAL = replace(COLOUR, tags=(*NUMBER_TAGS, "spectrum"), instead=METAL_BY_NAME)
+OF_METALS = {"material": METAL, "eta": INDEX_OF_METAL, "k": INDEX_OF_METAL, "specular_reflectance": SHARE}
 OF_PLASTICS = {
     "diffuse_reflectance": SHARE, "specular_reflectance": SHARE, "int_ior": INDEX, "ext_ior": INDEX, "nonlinear": FLAG,
 }  # fmt: skip
