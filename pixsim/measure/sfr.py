@@ -1,8 +1,9 @@
 """Edge-based spatial frequency response (e-SFR) of a picture of a slanted edge, measured as in ISO 12233.
 
 ISO 12233:2023, clause 6 and annex D; ISO 12233:2017, annex D; P. D. Burns, Slanted-edge MTF for digital camera and scanner
-analysis, Proc. IS&T PICS (2000). The SFR is measured along the normal of the edge, in cycles per pixel of the sensor, also where a
-channel of a colour mosaic has only some of them.
+analysis, Proc. IS&T PICS (2000); P. D. Burns and D. Williams, Camera Resolution and Distortion: Advanced Edge Fitting, Proc. IS&T
+EI, IQSP-171 (2018), for edges that are curved. The SFR is measured along the normal of the edge, in cycles per pixel of the
+sensor, also where a channel of a colour mosaic has only some of them.
 """
 
 from __future__ import annotations
@@ -16,11 +17,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.polynomial import Polynomial
+from numpy.polynomial.legendre import legvander
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.signal.windows import tukey
-from scipy.special import chndtrinc, erf, ndtri
+from scipy.special import chndtrinc, erf, ndtri, stdtrit
 
 from pixsim.base.arguments import LARGEST, SMALLEST, Positive, checks_arguments, checks_fields
 from pixsim.base.arrays import Array
@@ -52,9 +55,17 @@ MAX_CORRECTION = 10.0  # ISO 12233: the response of the central difference is 0 
 EDGE_SEARCH_PX = 4  # smoothing along a row for the first estimate of the edge
 CENTROID_HALF_PX = 8.0
 FIT_ROUNDS = 4
+MAX_DEGREE = 5  # ISO 12233:2023
+DEGREE_FALSE_ALARM = 1e-3  # share of straight edges whose noise passes for a curve
+MIN_BEND_PX = 0.01  # RMS of a term of the polynomial: less lowers the SFR at Nyquist by less than 0.05 %
+MAX_MISFIT_PX = 0.1  # RMS of the rows' edges about the polynomial, without their noise: lowers the SFR at Nyquist by 5 %
+PHASES = 8  # of the edge within a pixel
+MIN_MISFIT_RATIO = 2.0  # of the scatter's variance to that of the noise, which may be correlated
 MIN_CONTRAST = 0.05  # Michelson contrast of linear data
 MIN_STEP_SIGMAS = 4.0  # a smaller step is hidden in the noise of a row
-MAX_RESIDUAL_PX = 2.0  # RMS distance of the rows' edges from the line
+MAX_RESIDUAL_PX = 2.0  # RMS distance of the rows' edges from the polynomial
+MIN_LINES = 0.9  # share of the lines that the polynomial crosses in the picture, with an edge there
+MAX_BELOW_BLACK = 0.01  # of the step: level of the dark side below black, which dark subtraction leaves
 MAX_SATURATED = 1e-3  # of a region's pixels
 LUMINANCE, LUMINANCE_WEIGHTS = "luminance", {"R": 0.2126, "G": 0.7152, "B": 0.0722}  # ISO 12233, of ITU-R BT.709
 COVERAGE = 0.95  # of the intervals
@@ -67,6 +78,11 @@ LOW_CY_PER_PX = 0.05  # shading acts below it, sharpening above
 TOP_QUANTILE = 0.9995  # above it are hot pixels
 MAX_AT_TOP = 0.01  # with noise of at least one code; Gaussian noise of one code leaves 0.2 % in the code at TOP_QUANTILE
 MIN_NOISE_CODES = 0.3  # less noise does not show in whole codes
+# Without noise a side that is clipped shows by a kink: the edge runs into it at a slope that lens and pixel fade out.
+KINK_LEVEL = 1e-3  # of the step, or 1.5 codes, from a side: where the edge is taken to begin
+KINK_PX = 0.15  # along the normal, of pixels that give the slope there
+MAX_KINK = 0.2  # of the steepest slope; a Gaussian edge that is clipped at 5 % of its step has 0.26
+MIN_KINK_RATIO = 3.0  # to the slope at the other side: an edge that no lens blurs has a kink at both
 SAMPLED = 1 << 17  # pixels of a side that tests of its noise look at, at most
 MAX_SHADING = 0.02  # of the step, within half of the window
 SHADING_SIGMAS = 4.0
@@ -90,7 +106,9 @@ class EdgeResponse:
     angle_deg : of the edge from the vertical, clockwise with row 0 on top, -45 to 135
     half_window_px : half of the window along the normal
     rows_used : lines across the edge, which cover a whole number of the edge's steps of one pixel of the channel
-    contrast : Michelson contrast
+    contrast : Michelson contrast; 1 also where the dark side is below black, as after dark subtraction
+    edge_degree : of the polynomial that was fitted to the edge; 1 for a straight edge
+    edge_sagitta_px : largest distance of the edge from the straight line through its ends, along the rows or columns across it
     mtf50_interval_cy_per_px : interval of 95 % of the MTF50, from the picture's own noise; None for a bound above the last one
     nyquist_cy_per_px : of the pixels measured, along the rows or columns across the edge: 0.5, or less for a channel of a mosaic
     channel : that was measured; None for a picture of one channel
@@ -108,6 +126,8 @@ class EdgeResponse:
     half_window_px: Positive
     rows_used: int
     contrast: UnitInterval
+    edge_degree: int = 1
+    edge_sagitta_px: float = 0.0
     mtf50_interval_cy_per_px: tuple[float | None, float | None] = (None, None)
     nyquist_cy_per_px: float = NYQUIST_CY_PER_PX
     channel: str | None = None
@@ -145,8 +165,9 @@ class EdgeResponse:
             "sfr_at_nyquist": at_nyquist[0], "sfr_at_nyquist_interval": list(at_nyquist[1:]), "interval_coverage": COVERAGE,
             "channel": self.channel, "channel_nyquist_cy_per_px": self.nyquist_cy_per_px, "sfr_at_channel_nyquist": at_own[0],
             "highest_frequency_cy_per_px": float(self.frequency_cy_per_px[-1]),
-            "angle_deg": self.angle_deg, "contrast": self.contrast, "half_window_px": self.half_window_px,
-            "rows_used": self.rows_used, "pitch_um": self.pitch_um, "warnings": list(self.notes),
+            "angle_deg": self.angle_deg, "contrast": self.contrast, "edge_degree": self.edge_degree,
+            "edge_sagitta_px": self.edge_sagitta_px, "half_window_px": self.half_window_px, "rows_used": self.rows_used,
+            "pitch_um": self.pitch_um, "warnings": list(self.notes),
         }  # fmt: skip
         if self.pitch_um is not None:
             scale = 1e3 / self.pitch_um
@@ -228,7 +249,7 @@ def edge_response(
     layout: str | None = None,
     channel: str | None = None,
 ) -> EdgeResponse:
-    """e-SFR of a picture with one straight, slanted edge.
+    """e-SFR of a picture with one slanted edge, straight or slightly curved.
 
     Parameters
     ----------
@@ -240,22 +261,24 @@ def edge_response(
     layout : of a frame with colour filters: RG/GB, the rows of a mosaic's unit cell, or R+G+B, planes one below the other
     channel : a letter of the layout, `luminance`, or a place in the unit cell as row,column; without a layout the cell has 2 × 2
 
-    The edge is a line through the centroids of the rows' derivatives. Pixels are binned by their distance from it, in bins of
-    1/4 pixel. The SFR is |DFT| of the windowed derivative of the bin means, divided by the responses of the bin and of the
-    central difference (both sinc) and normalised at frequency 0. Of a mosaic only the channel's own pixels are binned; nothing is
-    interpolated. Luminance is 0.2126 R + 0.7152 G + 0.0722 B of channels balanced to equal levels beside the edge, which is grey.
+    The edge is a polynomial through the centroids of the rows' derivatives, of the highest degree up to 5 whose term their scatter
+    does not explain; a straight edge has a line. Pixels are binned by their distance from it, in bins of 1/4 pixel.
+    The SFR is |DFT| of the windowed derivative of the bin means, divided by the responses of the bin and of the central difference
+    (both sinc) and normalised at frequency 0. Of a mosaic only the channel's own pixels are binned; nothing is interpolated.
+    Luminance is 0.2126 R + 0.7152 G + 0.0722 B of channels balanced to equal levels beside the edge, which is grey.
     Non-uniform illumination acts as blur: correct the picture with a flat field first.
 
     The interval takes the scatter of the pixels about the mean of their bin as white noise. It warns of noise that is not, of a
-    curve above 1.02, and of shading.
+    curve above 1.02, of shading, and of rows whose edges scatter about the polynomial by more than their noise.
 
-    Raises PixsimError if the picture is not one channel, is too small or saturated, has too little contrast or no straight
-    edge, or if the edge is so close to the rows or columns that it does not sample every phase of a pixel.
+    Raises PixsimError if the picture is not one channel, is too small, saturated or clipped, has too little contrast or no
+    edge near a polynomial, or if the edge is so close to the rows or columns that it does not sample every phase of a pixel.
 
     >>> y, x = np.mgrid[:200, :200] - 99.5
     >>> distance = (x + y * np.tan(np.radians(5))) * np.cos(np.radians(5))
-    >>> edge = edge_response(np.clip(distance + 0.5, 0, 1) * 0.8 + 0.1)  # blurred by one pixel: sinc(f)
-    >>> bool(abs(edge.at_nyquist - 2 / np.pi) < 0.005), round(edge.angle_deg, 1)
+    >>> t = np.clip(distance, -1, 1)
+    >>> edge = edge_response((0.5 + t - t * abs(t) / 2) * 0.8 + 0.1)  # blurred by a pixel twice: sinc²(f)
+    >>> bool(abs(edge.at_nyquist - (2 / np.pi) ** 2) < 0.005), round(edge.angle_deg, 1)
     (True, 5.0)
     """
     parts, period, name = parts_of(picture, region, layout, channel)
@@ -272,17 +295,19 @@ def edge_response(
         check_clipping(part.grids, is_unclipped)
     parts = balanced(parts)
     grids = [grid for part in parts for grid in part.grids]
-    intercept, slope = fit_edge(grids, np.sign(contrast), period[1])
-    rows, half_px = rows_and_window(grids, intercept, slope, half_window_px, period[1])
+    fit = fit_edge(grids, np.sign(contrast), period[1])
+    rows, half_px = rows_and_window(grids, fit, half_window_px, period[1])
     parts = [WeightedChannel(weight, [within(grid, rows) for grid in own]) for weight, own in parts]
     for bins_a_pixel in bins_of(period[1]):
-        binned = [edge_spread(part.grids, intercept, slope, half_px, bins_a_pixel) for part in parts]
+        binned = [edge_spread(part.grids, fit, half_px, bins_a_pixel) for part in parts]
         if all((one.pixels > 0).all() for one in binned):
             break
     else:
         pixels = np.concatenate([one.pixels for one in binned])
-        got = f"{np.count_nonzero(pixels == 0)} of {pixels.size} bins without a pixel, at {np.degrees(np.arctan(slope)):.2f}°"
+        got = f"{np.count_nonzero(pixels == 0)} of {pixels.size} bins without a pixel, at {np.degrees(np.arctan(fit.slope)):.2f}°"
         raise invalid("edge picture", got, "pixels in every bin", "This angle samples too few phases of the pixels: use 5°.")
+    for part, one in zip(parts, binned, strict=True):
+        check_kinks(part.grids, fit, one, is_unclipped)
     distance_px = binned[0].distance_px
     spread = np.asarray(sum(part.weight * one.mean for part, one in zip(parts, binned, strict=True)))
     variance = np.asarray(sum(part.weight**2 * one.variance for part, one in zip(parts, binned, strict=True)))
@@ -290,7 +315,7 @@ def edge_response(
     shown = frequency <= bins_a_pixel / BINS_A_PIXEL
     frequency, sfr = frequency[shown], sfr[shown]
     low, high = interval(spread, variance, bins_a_pixel, frequency)
-    angle = float(np.degrees(np.arctan(slope)))  # anticlockwise, as y points down; clockwise if transposed
+    angle = float(np.degrees(np.arctan(fit.slope)))  # anticlockwise, as y points down; clockwise if transposed
     edge = EdgeResponse(
         frequency,
         sfr,
@@ -301,14 +326,16 @@ def edge_response(
         angle_deg=90.0 + angle if turned else -angle,
         half_window_px=half_px,
         rows_used=rows.size,
-        contrast=abs(contrast),
+        contrast=min(abs(contrast), 1.0),
+        edge_degree=fit.curve.degree(),
+        edge_sagitta_px=sagitta_px(fit, rows),
         mtf50_interval_cy_per_px=mtf50_interval(spread, variance, bins_a_pixel, frequency),
         nyquist_cy_per_px=min(nyquist_of(part.grids, period) for part in parts),
         channel=name,
     )
     warn_of_curve(edge)
     warn_of_shading(distance_px, spread, variance)
-    warn_of_correlation([grid for part in parts for grid in part.grids], intercept, slope, distance_px, spread)
+    warn_of_correlation([grid for part in parts for grid in part.grids], fit, distance_px, spread)
     return edge
 
 
@@ -503,6 +530,11 @@ def contrast_of(parts: Sequence[WeightedChannel]) -> float:
             hint = "Average several frames, or use more light."
             got = f"a step of {abs(high - low) / noise:.2g} σ of its noise"
             raise invalid("edge picture", got, f"at least {MIN_STEP_SIGMAS:g} σ", hint)
+    below = -min(low, high) / abs(high - low)
+    if below > MAX_BELOW_BLACK:
+        warn(
+            f"edge picture: the dark side is below black by {below:.1%} of the step: the black level is too high for the contrast."
+        )
     return float(contrast)
 
 
@@ -544,7 +576,7 @@ def check_clipping(grids: Sequence[ChannelGrid], is_unclipped: bool) -> None:
     for grid in grids:
         dark, light = sorted((sampled(side) for side in outer(grid.data)), key=np.mean)
         for name, side, other, sign in (("bright", light, dark, 1.0), ("dark", dark, light, -1.0)):
-            code = min((float(np.diff(values).min()) for one in (side, other) if (values := np.unique(one)).size > 1), default=0.0)
+            code = min((step for one in (side, other) if (step := smallest_step(one)) > 0.0), default=0.0)
             noise = 0.0 if code == 0.0 else noise_of(other, code) / code
             if noise < MIN_NOISE_CODES or noise * code < MIN_NOISE * abs(float(light.mean() - dark.mean())):  # of rounding
                 continue
@@ -566,6 +598,64 @@ def check_clipping(grids: Sequence[ChannelGrid], is_unclipped: bool) -> None:
                 raise invalid(
                     "edge picture", got, "noise on both sides, or on neither: this is clipped, which sharpens the edge", hint
                 )
+
+
+def check_kinks(grids: Sequence[ChannelGrid], fit: EdgeFit, binned: Binned, is_unclipped: bool) -> None:
+    """Raise PixsimError if an edge without noise is clipped at a side, which a kink shows; warn if it has kinks at both sides."""
+    distance = np.concatenate([distance_from_edge(grid, fit).ravel() for grid in grids])
+    value = np.concatenate([grid.data.ravel() for grid in grids])
+    steepest = float(np.abs(np.gradient(binned.mean, binned.distance_px)).max())
+    sides = [np.concatenate([sampled(outer(grid.data)[at]).ravel() for grid in grids]) for at in (0, 1)]
+    levels = [float(np.median(side)) for side in sides]
+    code = max(smallest_step(sampled(grid.data)) for grid in grids)
+    tolerance = max(1.5 * code, KINK_LEVEL * abs(levels[1] - levels[0]))
+    if max(float(side.std()) for side in sides) > tolerance / 4:  # `check_clipping` looks at noise
+        return
+
+    kinks = [
+        kink_of(outwards * distance, value - level, tolerance) / steepest for outwards, level in zip((-1, 1), levels, strict=True)
+    ]
+    clipped = [
+        kink > MAX_KINK and float(np.mean(side == level)) >= 1 - MAX_SATURATED
+        for side, level, kink in zip(sides, levels, kinks, strict=True)
+    ]
+    if not any(clipped) or max(kinks) < MIN_KINK_RATIO * min(kinks):
+        if all(clipped):
+            warn("edge picture: the edge has a kink at both sides: no lens blurs it so, or both are clipped, which sharpens it.")
+        return
+    at = int(np.argmax(kinks))
+    if not clipped[at]:
+        return
+    name = "bright" if levels[at] == max(levels) else "dark"
+    got = f"a {name} side at exactly {levels[at]:g} above black that the edge runs into at {kinks[at]:.0%} of its steepest slope, "
+    got += f"beside {kinks[1 - at]:.0%} on the other side"
+    if is_unclipped:
+        warn(f"edge picture: {got}: clipped? This sharpens the edge.")
+        return
+    hint = f"Use {'less light' if name == 'bright' else 'a higher black level'}. If these values are right, state a --saturation "
+    hint += "above them (is_unclipped=True)."
+    raise invalid("edge picture", got, "a slope that fades out on both sides: this is clipped, which sharpens the edge", hint)
+
+
+def kink_of(distance_px: Array, departure: Array, tolerance: float) -> float:
+    """Slope, per pixel along the normal, at which an edge runs into a side at positive distances; 0 without pixels between.
+
+    departure : of each pixel from the level of the side, which begins where no departure exceeds the tolerance
+    """
+    away = np.abs(departure) > tolerance
+    if not away.any():
+        return 0.0
+    before_px = distance_px[away].max() - distance_px
+    near = away & (before_px < KINK_PX)
+    centred = before_px[near] - before_px[near].mean()
+    spread = float(centred @ centred)
+    return abs(float(centred @ departure[near])) / spread if spread > 0 else 0.0
+
+
+def smallest_step(side: Array) -> float:
+    """Smallest difference between two values of a side, which is a code where the noise has several; 0 if all are equal."""
+    values = np.unique(side)
+    return float(np.diff(values).min()) if values.size > 1 else 0.0
 
 
 def noise_of(side: Array, code: float) -> float:
@@ -601,11 +691,23 @@ def check_mosaic(data: Array) -> None:
                 raise invalid("edge picture", got, "one channel", hint)
 
 
-def fit_edge(grids: Sequence[ChannelGrid], sign: float, spacing: int) -> tuple[float, float]:
-    """Intercept and slope (pixels per row) of the edge x = intercept + slope · row, with pixel centres at integers.
+class EdgeFit(NamedTuple):
+    """The course of a near-vertical edge.
 
-    The edge of a row is the centroid of its derivative under a Hann window around the current line. The first line goes
-    through the steepest points of the smoothed rows. Raises PixsimError if the rows' edges are not on a line.
+    curve : x in pixels as a function of the row, with pixel centres at integers
+    slope : of the straight line of least squares, in pixels per row
+    """
+
+    curve: Polynomial
+    slope: float
+
+
+def fit_edge(grids: Sequence[ChannelGrid], sign: float, spacing: int) -> EdgeFit:
+    """Fit a polynomial to the edge, as ISO 12233:2023 does for lenses with distortion.
+
+    The edge of a row is the centroid of its derivative under a Hann window around the current curve. The first one is a line
+    through the steepest points of the smoothed rows. Warns if the rows' edges scatter about the curve by more than their noise,
+    and raises PixsimError if they are not near it.
 
     spacing : of the columns of each grid, in pixels
     """
@@ -621,36 +723,130 @@ def fit_edge(grids: Sequence[ChannelGrid], sign: float, spacing: int) -> tuple[f
     row = row[order]
     half = len(row) // 2  # medians over pairs of rows half the picture apart are robust against outliers
     slope = float(np.median((steepest[half:] - steepest[: len(row) - half]) / (row[half:] - row[: len(row) - half])))
-    intercept = float(np.median(steepest - slope * row))
-    reach = CENTROID_HALF_PX * spacing
+    curve = Polynomial([float(np.median(steepest - slope * row)), slope])
+    reach_px = CENTROID_HALF_PX * spacing
+
     for _ in range(FIT_ROUNDS):
-        rows, centres = [], []
-        for grid, derivative in zip(grids, derivatives, strict=True):
-            away = grid.x - (intercept + slope * grid.row)[:, None]
-            weight = np.where(np.abs(away) < reach, np.cos(np.pi * away / (2 * reach)) ** 2, 0.0) * derivative
-            total = weight.sum(axis=1)
-            valid = total > 0
-            centres.append((weight[valid] * grid.x).sum(axis=1) / total[valid])
-            rows.append(grid.row[valid])
-        found, centre = np.concatenate(rows), np.concatenate(centres)
-        if found.size < row.size / 2:
-            raise no_edge(f"an edge in {found.size} of {row.size} lines")
-        slope, intercept = np.polyfit(found, centre, 1)
-    residual = float(np.sqrt(np.mean((centre - intercept - slope * found) ** 2)))
+        measured = [row_edges(grid, derivative, curve, reach_px) for grid, derivative in zip(grids, derivatives, strict=True)]
+        rows, centres, noises = (np.concatenate(parts) for parts in zip(*measured, strict=True))
+        if rows.size < row.size / 2:
+            raise no_edge(f"an edge in {rows.size} of {row.size} lines")
+        slope, intercept = np.polyfit(rows, centres, 1)
+        degree = degree_of_edge(rows, centres)
+        curve = Polynomial([intercept, slope]) if degree == 1 else Polynomial.fit(rows, centres, degree)
+
+    margins_px = [np.minimum(curve(grid.row) - grid.x[0], grid.x[-1] - curve(grid.row)) for grid in grids]
+    lines = sum(np.count_nonzero(margin_px >= reach_px) for margin_px in margins_px)
+    if rows.size < MIN_LINES * lines:
+        raise no_edge(f"an edge in {rows.size} of {lines} lines")
+    residual = float(np.sqrt(np.mean((centres - curve(rows)) ** 2)))
     if residual > MAX_RESIDUAL_PX * spacing:
-        raise no_edge(f"an edge {residual:.2g} px (RMS) from a straight line")
-    return float(intercept), float(slope)
+        raise no_edge(f"an edge {residual:.2g} px (RMS) from a polynomial of degree {degree}")
+    scatter = np.concatenate([without_sampling(centre - curve(rows), curve(rows) / spacing) for rows, centre, _ in measured])
+    warn_of_misfit(scatter, noises, degree, spacing)
+    return EdgeFit(curve, float(slope))
+
+
+def row_edges(grid: ChannelGrid, derivative: Array, curve: Polynomial, reach_px: float) -> tuple[Array, Array, Array]:
+    """Rows with an edge near a curve, the centroids of their derivatives (px), and the standard deviations by the noise (px)."""
+    away = grid.x - curve(grid.row)[:, None]
+    window = np.where(np.abs(away) < reach_px, np.cos(np.pi * away / (2 * reach_px)) ** 2, 0.0)
+    weight = window * derivative
+    total = weight.sum(axis=1)
+    valid = total > 0
+    centre = (weight[valid] * grid.x).sum(axis=1) / total[valid]
+
+    # The centroid is linear in the noise: a pixel is in the central differences on either side of it.
+    lever = window[valid] * (grid.x - centre[:, None]) / total[valid, None]
+    gain = np.zeros_like(lever)
+    gain[:, 1:-1] = (lever[:, :-2] - lever[:, 2:]) / 2
+    deviation = np.sqrt((gain**2 * noise_variance(grid.data)[valid]).sum(axis=1))
+    return grid.row[valid], centre, deviation
+
+
+def noise_variance(data: Array) -> Array:
+    """Variance of the noise of each pixel: linear in the signal, as shot noise is, between those of the two sides."""
+    sides = [sampled(side) for side in outer(data)]
+    step = float(np.ptp(sides[0])) or 1.0
+    variances = [noise_of(side, smallest_step(side)) ** 2 for side in sides]
+    means = [float(side.mean()) for side in sides]
+    share = np.clip((data - means[0]) / ((means[1] - means[0]) or step), 0.0, 1.0)
+    return variances[0] + (variances[1] - variances[0]) * share
+
+
+def degree_of_edge(row: Array, centre: Array) -> int:
+    """Degree of the polynomial for the edges of rows (px): that of the highest term that is no chance and matters, or 1."""
+    scaled = 2 * (row - row.min()) / np.ptp(row) - 1
+    basis = np.linalg.qr(legvander(scaled, MAX_DEGREE))[0]
+    coefficient = basis.T @ centre  # independent of each other, and as uncertain as the edge of a row
+    freedom = row.size - basis.shape[1]
+    sigma = math.sqrt(float(np.sum((centre - basis @ coefficient) ** 2)) / freedom)
+    chance = DEGREE_FALSE_ALARM / (MAX_DEGREE - 1)
+    limit = max(float(stdtrit(freedom, 1 - chance / 2)) * sigma, MIN_BEND_PX * math.sqrt(row.size))
+    curved = np.flatnonzero(np.abs(coefficient[2:]) > limit)
+    return 2 + int(curved[-1]) if curved.size else 1
+
+
+def without_sampling(residual_px: Array, place: Array) -> Array:
+    """The rows' distances from the edge (px), less their mean at each place of the edge within a pixel, an error of sampling.
+
+    place : of the edge in each row, in pixels of the channel
+    """
+    phase = np.floor(place % 1.0 * PHASES).astype(int) % PHASES
+    rows = np.bincount(phase, minlength=PHASES)
+    mean = np.bincount(phase, weights=residual_px, minlength=PHASES) / np.maximum(rows, 1)
+    return residual_px - mean[phase]
+
+
+def warn_of_misfit(residual_px: Array, noise_px: Array, degree: int, spacing: int) -> None:
+    """Warn if the rows' edges scatter about the polynomial by more than their noise, as by waves or rows that are shifted.
+
+    residual_px : (N,) distances of the rows' edges from the polynomial, without the error of sampling
+    noise_px : (N,) standard deviations of the rows' edges by the noise of the pixels
+    spacing : of the columns of the channel, in pixels
+    """
+    scatter = float(np.quantile(np.abs(residual_px), COVERAGE)) / float(ndtri((1 + COVERAGE) / 2))  # few outliers do not count
+    noise = float(np.sqrt(np.mean(noise_px**2)))
+    misfit = math.sqrt(max(scatter**2 - noise**2, 0.0))
+    if misfit > MAX_MISFIT_PX * spacing and scatter**2 > MIN_MISFIT_RATIO * noise**2:
+        loss = -math.expm1(-2 * (math.pi * misfit * NYQUIST_CY_PER_PX) ** 2)
+        warn(
+            f"edge picture: the edge is no polynomial of degree {degree}: its rows scatter about it by {misfit:.2g} px (RMS), "
+            f"which lowers the SFR at Nyquist by about {loss:.0%}; take a region in which it is even."
+        )
+
+
+def distance_from_edge(grid: ChannelGrid, fit: EdgeFit) -> Array:
+    """(M, K) distances of the pixels from the edge along its normal, in pixels, positive on the right.
+
+    To first order in the curvature: the normal through a pixel meets the edge in another row.
+    """
+    across = grid.x - fit.curve(grid.row)[:, None]
+    slope = fit.curve.deriv()(grid.row)[:, None]
+    bend = fit.curve.deriv(2)(grid.row)[:, None]
+    rows_to_foot = across * slope / (1 + slope**2)
+    return (across - bend * rows_to_foot**2 / 2) / np.hypot(1.0, slope)
+
+
+def sagitta_px(fit: EdgeFit, rows: Array) -> float:
+    """Largest distance along x between the edge and the straight line through its ends."""
+    if fit.curve.degree() == 1:
+        return 0.0
+    edge = fit.curve(rows)
+    chord = np.interp(rows, rows[[0, -1]], edge[[0, -1]])
+    return float(np.abs(edge - chord).max())
 
 
 def no_edge(got: str) -> PixsimError:
     return invalid(
-        "edge picture", got, f"one straight edge, within {MAX_RESIDUAL_PX:g} px RMS", "Give a --region that contains only the edge."
+        "edge picture",
+        got,
+        f"one edge within {MAX_RESIDUAL_PX:g} px (RMS) of a polynomial of degree {MAX_DEGREE} at most",
+        "Give a --region that contains only the edge.",
     )
 
 
-def rows_and_window(
-    grids: Sequence[ChannelGrid], intercept: float, slope: float, half_window_px: float, spacing: int
-) -> tuple[Array, float]:
+def rows_and_window(grids: Sequence[ChannelGrid], fit: EdgeFit, half_window_px: float, spacing: int) -> tuple[Array, float]:
     """Rows that contain the whole window, and half of the window along the normal in pixels.
 
     The rows cover a whole number of the edge's steps of one pixel of the channel, which weights all phases equally. The window is
@@ -660,9 +856,9 @@ def rows_and_window(
     """
     height = int(max(grid.row[-1] for grid in grids)) + 1
     first, last = max(grid.x[0] for grid in grids), min(grid.x[-1] for grid in grids)
-    cos = 1 / np.hypot(1.0, slope)
     row = np.arange(height, dtype=float)
-    edge = intercept + slope * row
+    edge, slope = fit.curve(row), fit.slope
+    cos = 1 / np.hypot(1.0, fit.curve.deriv()(row))
     margin_px = np.minimum(edge - first, last - edge) * cos
     slant_deg = abs(np.degrees(np.arctan(slope)))
     if abs(slope) * height < spacing or slant_deg < MIN_SLANT_DEG:
@@ -705,7 +901,7 @@ class Binned(NamedTuple):
     variance: Array
 
 
-def edge_spread(grids: Sequence[ChannelGrid], intercept: float, slope: float, half_px: float, bins_a_pixel: int) -> Binned:
+def edge_spread(grids: Sequence[ChannelGrid], fit: EdgeFit, half_px: float, bins_a_pixel: int) -> Binned:
     """Pixels in bins of their distance from the edge, which rises from left to right.
 
     The variance is that of the pixels about the mean course through the bins, pooled over neighbouring bins.
@@ -714,7 +910,7 @@ def edge_spread(grids: Sequence[ChannelGrid], intercept: float, slope: float, ha
     centre_px = (np.arange(count) + 0.5) / bins_a_pixel - half_px
     indices, values, distances = [], [], []
     for grid in grids:
-        distance = (grid.x - (intercept + slope * grid.row)[:, None]) / np.hypot(1.0, slope)
+        distance = distance_from_edge(grid, fit)
         index = np.floor((distance + half_px) * bins_a_pixel).astype(int)
         inside = (index >= 0) & (index < count)
         indices.append(index[inside])
@@ -843,14 +1039,14 @@ def warn_of_shading(distance_px: Array, spread: Array, variance: Array) -> None:
         )
 
 
-def warn_of_correlation(grids: Sequence[ChannelGrid], intercept: float, slope: float, distance_px: Array, spread: Array) -> None:
+def warn_of_correlation(grids: Sequence[ChannelGrid], fit: EdgeFit, distance_px: Array, spread: Array) -> None:
     """Warn if the noise of neighbours in a row is correlated, of which the intervals know nothing."""
     half_px = -float(distance_px[0])
     step = float(np.ptp(spread))
     smooth = course(distance_px, spread)
     found = []
     for grid in grids:
-        distance = (grid.x - (intercept + slope * grid.row)[:, None]) / np.hypot(1.0, slope)
+        distance = distance_from_edge(grid, fit)
         beside = (np.abs(distance) > half_px / 4) & (np.abs(distance) < half_px)
         noise = np.diff(grid.data - smooth(np.clip(distance, -half_px, half_px)), axis=0)  # without shading along the edge
         beside = beside[1:] & beside[:-1]
@@ -956,10 +1152,11 @@ def sfr(
     >>> y, x = np.mgrid[:200, :200] - 99.5
     >>> distance = (x + y * np.tan(np.radians(5))) * np.cos(np.radians(5))
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     np.save(f"{folder}/edge.npy", np.clip(distance + 0.5, 0, 1) * 0.8 + 0.1)  # blurred by one pixel
+    ...     t = np.clip(distance, -1, 1)
+    ...     np.save(f"{folder}/edge.npy", (0.5 + t - t * abs(t) / 2) * 0.8 + 0.1)  # blurred by a pixel twice
     ...     edge = sfr(f"{folder}/edge.npy", pitch_um=5.0)
-    >>> round(edge.as_dict()["mtf50_cy_per_mm"])  # sinc(0.603) = 1/2
-    121
+    >>> round(edge.as_dict()["mtf50_cy_per_mm"])  # sinc²(0.443) = 1/2
+    89
     """
     lowest, highest = METADATA_RANGES["pitch_um"]
     if pitch_um is not None and not lowest <= pitch_um <= highest:
@@ -1018,7 +1215,8 @@ def sfr_parts(result: dict[str, Any]) -> list[str]:
         at_nyquist += f" of the sensor (0.5 cy/px), {result['sfr_at_channel_nyquist']:.3f} at the channel's own ({own:g} cy/px)"
     elif of_channel:
         at_nyquist += " of the sensor and of the channel (0.5 cy/px)"
-    edge = f"edge at {result['angle_deg']:.2f}°, ±{result['half_window_px']:g} px, {result['rows_used']} lines"
+    curved = f" (bowed by {result['edge_sagitta_px']:.2g} px, degree {result['edge_degree']})" if result["edge_degree"] > 1 else ""
+    edge = f"edge at {result['angle_deg']:.2f}°{curved}, ±{result['half_window_px']:g} px, {result['rows_used']} lines"
     return [
         f"{of_channel}{half}, {at_nyquist}",
         f"{edge}, contrast {result['contrast']:.2f}",
