@@ -114,8 +114,12 @@ def as_float(value: Any) -> float:
 
 
 def as_list(value: object) -> object:
-    """Split the text of an option, as 1.4,2.0,2.8."""
-    return value.replace(",", " ").split() if isinstance(value, str) else value
+    """Split the text of an option at commas and blanks, as 1.4,2.0,2.8. ValueError if there is no value beside a comma."""
+    if not isinstance(value, str):
+        return value
+    if not all(part.strip() for part in value.split(",")):
+        raise ValueError(f"got '{value}'; allowed: a value on both sides of every comma")
+    return value.replace(",", " ").split()
 
 
 Model = TypeVar("Model", bound=Record)

@@ -144,8 +144,7 @@ def run(
     variant: common.Variant = None,
     units: Units = None,
     raw: Annotated[
-        list[RawFormat] | None,
-        Parameter(help="Also write the raw frame in these formats, as --raw tiff png.", consume_multiple=False),
+        list[RawFormat] | None, common.SEVERAL, Parameter(help="Also write the raw frame in these formats, as --raw tiff,png.")
     ] = None,
     repeats: Annotated[
         int,
@@ -316,6 +315,7 @@ def study(
     scheduler: Scheduler = None,
     axis: Annotated[
         list[str] | None,
+        common.SEVERAL,
         Parameter(
             help="Vary a setting beside the pixel size: NAME=v1,v2,… or NAME=from:to:count[:log]. NAME is an axis of the study or "
             "a dotted setting, as camera.f_number; settings joined by + take each value together. Values with labels are picked by "
@@ -337,7 +337,10 @@ def study(
     ] = None,
     smaller_than: Annotated[
         list[float] | None,
-        Parameter(help="Report the probability that the optimum is smaller than this pixel size in µm. Repeatable.", metavar="UM"),
+        common.SEVERAL,
+        Parameter(
+            help="Report the probability that the optimum is smaller than this pixel size in µm. Several as 2,3.45.", metavar="UM"
+        ),
     ] = None,
     noise_budget: common.NoiseBudget = None,
     yes: Annotated[bool, Parameter(help="Run a study with axes of more than 100 000 evaluations.", negative="")] = False,
@@ -692,7 +695,8 @@ def lens(
     ] = None,
     wavelength_nm: Annotated[
         list[float] | None,
-        Parameter(help="Wavelengths of equal weight, as --wavelength-nm 450 --wavelength-nm 550 [default: the file's]."),
+        common.SEVERAL,
+        Parameter(help="Wavelengths of equal weight, as --wavelength-nm 450,550 [default: the file's]."),
     ] = None,
     pitch_um: Annotated[float | None, Parameter(help="Pixel pitch, whose Nyquist frequency joins 10, 30 and 60 lp/mm.")] = None,
     configuration: Annotated[str | None, field_option(LensOptions, "configuration")] = None,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import inspect
 import os
+import re
 import shutil
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -14,13 +15,13 @@ from pathlib import Path
 from types import UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union, get_args, get_origin
 
-from cyclopts import App, Parameter
+from cyclopts import App, Parameter, Token, convert
 
 from pixsim.base import progress
 from pixsim.base.errors import PixsimError, did_you_mean, invalid, printable
 from pixsim.base.files import private_folder
 from pixsim.base.progress import Stage
-from pixsim.base.records import Record
+from pixsim.base.records import Record, as_list
 from pixsim.base.toml import packaged
 from pixsim.base.version import VERSION
 from pixsim.cli.process import interruption
@@ -142,6 +143,24 @@ def field_option(record: type[Record], name: str, /, **more: Any) -> Parameter:
     return Parameter(**{**how, **more})
 
 
+NEXT_ASSIGNMENT = re.compile(r",(?=\s*[A-Za-z_][\w.+]*\s*=)")
+
+
+def _several(kind: Any, tokens: Sequence[Token]) -> Any:
+    """Convert the texts of an option that may be repeated, each of which holds values separated by commas or blanks.
+
+    Assignments are separated by a comma before the next NAME=: other commas belong to their values.
+    """
+    values: list[Token] = []
+    for token in tokens:
+        parts: Any = NEXT_ASSIGNMENT.split(token.value) if "=" in token.value else as_list(token.value)
+        values += [token.evolve(value=part) for part in parts]
+    return convert(kind, values)
+
+
+SEVERAL = Parameter(converter=_several, consume_multiple=False)  # of every option of several values but names of files
+
+
 def packaged_or_files(names: Callable[[], Iterable[str]], *suffixes: str) -> Callable[[Any], list[str]]:
     """A completer that offers packaged names, and the files and folders that a path may go on to.
 
@@ -188,16 +207,15 @@ Config = Annotated[
     ),
 ]
 Define = Annotated[
-    list[str] | None,
-    Parameter(name=["-D", "--define"], help="Set a scene parameter: name=value.", consume_multiple=False, metavar="NAME=VALUE"),
+    list[str] | None, SEVERAL, Parameter(name=["-D", "--define"], help="Set a scene parameter: name=value.", metavar="NAME=VALUE")
 ]
 Metrics = Annotated[
     list[str] | None,
+    SEVERAL,
     Parameter(
         name=("--metrics", "--metric"),
         help="Judge by this metric: delta_e, detectability, npwe, information, acutance, visual_noise, mtf50, snr10_lx, niirs, "
-        "flip. Repeatable; the first one is that of the headline [default: delta_e].",
-        consume_multiple=False,
+        "flip. Several as delta_e,information; the first one is that of the headline [default: delta_e].",
         metavar="NAME",
     ),
 ]
@@ -400,7 +418,7 @@ def _values_of(text: str, values: str) -> dict[str, Any]:
         return table | ({"spacing": ends[3]} if ends[3:] else {})
     parts = [part.strip() for part in values.split(",")]
     if "" in parts:
-        raise invalid("--axis", f"'{text}'", "a value between any two commas, as in --axis camera.f_number=2,2.8,4")
+        raise invalid("--axis", f"'{text}'", "a value on both sides of every comma, as in --axis camera.f_number=2,2.8,4")
     return {"values": [_value(part) for part in parts]}
 
 

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import re
+from copy import copy
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import pytest
+from cyclopts import Argument, CoercionError, Token
 from helpers.commands import assert_refused, command
+from pydantic import TypeAdapter, ValidationError
 from rich.console import Console
 
 from pixsim.base.errors import PixsimError
 from pixsim.base.layers import Layer
-from pixsim.base.records import Record, checked
+from pixsim.base.records import Record, as_list, checked
 from pixsim.base.toml import packaged
 from pixsim.cli.commands import with_each_format
 from pixsim.cli.help import COMMON, MANY
@@ -23,6 +26,7 @@ from pixsim.scene.packaged import packaged_scenes
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.studies.pitch_range import PitchRange
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.metric_options import Niirs
 from pixsim.viewer.setting import Effort, Run
@@ -157,6 +161,119 @@ def test_value_name_of_annotation(annotation: object, name: str) -> None:
 )
 def test_raw_takes_several_formats_and_leaves_other_words(line: str, written: str) -> None:
     assert with_each_format(line.split()) == written.split()
+
+
+def options_of_several_values() -> list[tuple[str, Argument]]:
+    """Every option of every command that may be repeated, with the name of the command."""
+    return [
+        (name, argument)
+        for name in NAMES
+        for argument in app[name].assemble_argument_collection()
+        if argument.parse and argument.index is None and argument.token_count()[1]
+    ]
+
+
+SEVERAL = options_of_several_values()
+OPTION_IDS = [f"{name} {argument.names[0]}" for name, argument in SEVERAL]
+
+
+def kind_of_values(argument: Argument) -> Any:
+    """T of list[T] | None."""
+    (kind,) = (get_args(part)[0] for part in (argument.hint, *get_args(argument.hint)) if get_origin(part) is list)
+    return kind
+
+
+def two_values(argument: Argument) -> tuple[str, str]:
+    """Texts of two values that an option takes."""
+    kind = kind_of_values(argument)
+    if get_origin(kind) is Literal:
+        return get_args(kind)[:2]
+    if kind in (int, float):
+        return "450", "0.5"
+    metavar = str(argument.parameter.metavar)
+    return ("a.b=1,2", "c=x") if "=" in metavar else ("delta_e", "own_metric")
+
+
+def converted(argument: Argument, *texts: str) -> list[Any]:
+    """What a command gets of an option that is given once for each text."""
+    fresh = copy(argument)  # an argument keeps its first result
+    fresh.tokens = [Token(keyword=argument.names[0], value=text, source="cli", index=index) for index, text in enumerate(texts)]
+    return list(fresh.convert())
+
+
+def takes_files(argument: Argument) -> bool:
+    return kind_of_values(argument) is Path or argument.parameter.metavar == "FILE"
+
+
+@pytest.mark.parametrize(("name", "argument"), SEVERAL, ids=OPTION_IDS)
+def test_option_of_several_values_takes_commas_but_in_names_of_files(name: str, argument: Argument) -> None:
+    if takes_files(argument):
+        assert list(map(str, converted(argument, "a, b.toml", "c.toml"))) == ["a, b.toml", "c.toml"], name
+        return
+    first, second = two_values(argument)
+    repeated = converted(argument, first, second)
+    assert len(repeated) == 2
+    assert converted(argument, f"{first},{second}") == repeated
+    assert [str(value).strip() for value in converted(argument, f"{first}, {second}")] == list(map(str, repeated))
+    assert converted(argument, f"{first},{second}", first) == [*repeated, repeated[0]]
+    if "=" in first:
+        return  # a comma that stands alone is one of the value
+    for text in (f"{first},,{second}", f"{first},", f",{first}", "", ","):
+        with pytest.raises(CoercionError, match=re.escape(f"got '{text}'; allowed: a value on both sides of every comma")):
+            converted(argument, text)
+
+
+def test_options_of_several_values_are_all_there() -> None:
+    """The generated list is not empty for another reason."""
+    names = {argument.names[0] for _, argument in SEVERAL}
+    assert names >= {"--metrics", "--raw", "--axis", "--smaller-than", "--wavelength-nm", "-D", "--config", "--glass-catalogues"}
+
+
+def fields_of_several_values(record: type[Record], path: str) -> list[tuple[str, Any]]:
+    """Dotted names and types of the fields that hold several plain values: tuples of numbers or of texts."""
+    fields: list[tuple[str, Any]] = []
+    for name, info in record.model_fields.items():
+        kinds = [
+            kind for kind in (info.annotation, *get_args(info.annotation)) if isinstance(kind, type) and issubclass(kind, Record)
+        ]
+        for kind in kinds:
+            fields += fields_of_several_values(kind, f"{path}.{name}")
+        whole = Annotated[info.annotation, *info.metadata] if info.metadata else info.annotation
+        if not kinds and "tuple[" in str(whole) and "tuple[tuple" not in str(whole) and "dict[" not in str(whole):
+            fields.append((f"{path}.{name}".lstrip("."), whole))
+    return fields
+
+
+FIELDS = [
+    (name, kind)
+    for name, kind in [*fields_of_several_values(Run, ""), *fields_of_several_values(PitchRange, "pitch")]
+    if name != "metrics"
+]  # of which --metrics is an option of its own
+VALUES = (["0.25", "0.5"], ["640", "480"], ["1.5", "1", "2"], ["a.agf", "b.agf"])
+
+
+@pytest.mark.parametrize(("name", "kind"), FIELDS, ids=[name for name, _ in FIELDS])
+def test_dotted_option_of_several_values_takes_commas(name: str, kind: Any) -> None:
+    """An option is the text that its field validates."""
+    field = TypeAdapter(kind)
+    values = next(values for values in VALUES if is_valid(field, values))
+    assert field.validate_python(",".join(values)) == field.validate_python(values)
+    assert field.validate_python(", ".join(values)) == field.validate_python(values)
+
+
+def is_valid(field: TypeAdapter[Any], value: object) -> bool:
+    try:
+        field.validate_python(value)
+    except ValidationError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize("text", ["0.25,,0.5", "0.25,0.5,", ",0.25", "", ","])
+def test_list_without_a_value_beside_a_comma_is_refused(text: str) -> None:
+    """The text reached a record as if the comma were a blank."""
+    with pytest.raises(ValueError, match="a value on both sides of every comma"):
+        as_list(text)
 
 
 # --- Command lines that are refused ---

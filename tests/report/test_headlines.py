@@ -137,4 +137,5 @@ def test_headlines_of_edges_are_short() -> None:
         result |= {"pitch_um": pitch_um, "mtf50_cy_per_mm": 90.4, "sfr_at_nyquist": 0.2, "sfr_at_nyquist_interval": [0.1, 0.3]}
         result |= {"channel": channel, "channel_nyquist_cy_per_px": own, "sfr_at_channel_nyquist": 0.4, "angle_deg": 5.0}
         result |= {"half_window_px": 32.0, "rows_used": 512, "contrast": 0.8, "interval_coverage": 0.95}
-        check(sfr_parts(result))
+        for degree in (1, 5):
+            check(sfr_parts(result | {"edge_degree": degree, "edge_sagitta_px": 1.42}))
