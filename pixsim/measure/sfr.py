@@ -602,9 +602,6 @@ def check_clipping(grids: Sequence[ChannelGrid], is_unclipped: bool) -> None:
 
 def check_kinks(grids: Sequence[ChannelGrid], fit: EdgeFit, binned: Binned, is_unclipped: bool) -> None:
     """Raise PixsimError if an edge without noise is clipped at a side, which a kink shows; warn if it has kinks at both sides."""
-    distance = np.concatenate([distance_from_edge(grid, fit).ravel() for grid in grids])
-    value = np.concatenate([grid.data.ravel() for grid in grids])
-    steepest = float(np.abs(np.gradient(binned.mean, binned.distance_px)).max())
     sides = [np.concatenate([sampled(outer(grid.data)[at]).ravel() for grid in grids]) for at in (0, 1)]
     levels = [float(np.median(side)) for side in sides]
     code = max(smallest_step(sampled(grid.data)) for grid in grids)
@@ -612,6 +609,9 @@ def check_kinks(grids: Sequence[ChannelGrid], fit: EdgeFit, binned: Binned, is_u
     if max(float(side.std()) for side in sides) > tolerance / 4:  # `check_clipping` looks at noise
         return
 
+    distance = np.concatenate([distance_from_edge(grid, fit).ravel() for grid in grids])
+    value = np.concatenate([grid.data.ravel() for grid in grids])
+    steepest = float(np.abs(np.gradient(binned.mean, binned.distance_px)).max())
     kinks = [
         kink_of(outwards * distance, value - level, tolerance) / steepest for outwards, level in zip((-1, 1), levels, strict=True)
     ]
@@ -726,8 +726,9 @@ def fit_edge(grids: Sequence[ChannelGrid], sign: float, spacing: int) -> EdgeFit
     curve = Polynomial([float(np.median(steepest - slope * row)), slope])
     reach_px = CENTROID_HALF_PX * spacing
 
+    variances = [noise_variance(grid.data) for grid in grids]
     for _ in range(FIT_ROUNDS):
-        measured = [row_edges(grid, derivative, curve, reach_px) for grid, derivative in zip(grids, derivatives, strict=True)]
+        measured = [row_edges(*parts, curve, reach_px) for parts in zip(grids, derivatives, variances, strict=True)]
         rows, centres, noises = (np.concatenate(parts) for parts in zip(*measured, strict=True))
         if rows.size < row.size / 2:
             raise no_edge(f"an edge in {rows.size} of {row.size} lines")
@@ -747,8 +748,13 @@ def fit_edge(grids: Sequence[ChannelGrid], sign: float, spacing: int) -> EdgeFit
     return EdgeFit(curve, float(slope))
 
 
-def row_edges(grid: ChannelGrid, derivative: Array, curve: Polynomial, reach_px: float) -> tuple[Array, Array, Array]:
-    """Rows with an edge near a curve, the centroids of their derivatives (px), and the standard deviations by the noise (px)."""
+def row_edges(
+    grid: ChannelGrid, derivative: Array, variance: Array, curve: Polynomial, reach_px: float
+) -> tuple[Array, Array, Array]:
+    """Rows with an edge near a curve, the centroids of their derivatives (px), and the standard deviations by the noise (px).
+
+    derivative, variance : (M, K) along the rows, and of the noise of each pixel
+    """
     away = grid.x - curve(grid.row)[:, None]
     window = np.where(np.abs(away) < reach_px, np.cos(np.pi * away / (2 * reach_px)) ** 2, 0.0)
     weight = window * derivative
@@ -760,18 +766,19 @@ def row_edges(grid: ChannelGrid, derivative: Array, curve: Polynomial, reach_px:
     lever = window[valid] * (grid.x - centre[:, None]) / total[valid, None]
     gain = np.zeros_like(lever)
     gain[:, 1:-1] = (lever[:, :-2] - lever[:, 2:]) / 2
-    deviation = np.sqrt((gain**2 * noise_variance(grid.data)[valid]).sum(axis=1))
+    deviation = np.sqrt((gain**2 * variance[valid]).sum(axis=1))
     return grid.row[valid], centre, deviation
 
 
 def noise_variance(data: Array) -> Array:
     """Variance of the noise of each pixel: linear in the signal, as shot noise is, between those of the two sides."""
     sides = [sampled(side) for side in outer(data)]
-    step = float(np.ptp(sides[0])) or 1.0
     variances = [noise_of(side, smallest_step(side)) ** 2 for side in sides]
-    means = [float(side.mean()) for side in sides]
-    share = np.clip((data - means[0]) / ((means[1] - means[0]) or step), 0.0, 1.0)
-    return variances[0] + (variances[1] - variances[0]) * share
+    levels = [float(side.mean()) for side in sides]
+    if levels[0] == levels[1]:
+        return np.full(data.shape, max(variances))
+    share = np.clip((data - levels[0]) / (levels[1] - levels[0]), 0.0, 1.0)
+    return np.asarray(variances[0] + (variances[1] - variances[0]) * share)
 
 
 def degree_of_edge(row: Array, centre: Array) -> int:
