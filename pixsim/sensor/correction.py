@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pixsim.base.arguments import NotNegative, checks_arguments
 from pixsim.base.arrays import Array, NotNegativeArray
 from pixsim.base.errors import invalid
+from pixsim.sensor.colour import Layout
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.pixel import PixelPhysics
@@ -22,6 +23,7 @@ from pixsim.sensor.readout import Frame, Sensor, read_out, sample_sensor
 
 DEFECT_SIGMAS = 6.0  # of a normal distribution: 2e-9 of sound pixels
 MAD_OF_SIGMA = 0.6744897501960817  # median absolute deviation of a normal distribution over its standard deviation
+ROUNDING = 1e-9  # of a mean of numbers from 0 to 1
 LEAST_RESPONSE = 0.05  # of the mean; a pixel below it has no gain to correct
 
 
@@ -98,12 +100,21 @@ def correct(
             numbers = channels.numbers(sensor.shape)
             for own in (numbers == number for number in range(len(channels.channels))):
                 defects[own] |= outliers(level[own], least_spread)
+    saturated = frame.saturated
     if correction.defects:
-        layout = frame.layout
-        pictures, which = ([picture], [defects]) if layout is None else (layout.parts(picture), layout.parts(defects))
-        for part, of_part in zip(pictures, which, strict=True):
-            part[...] = without_defects(part, of_part)
-    return replace(frame, corrected_e=picture.astype(np.float32))
+        _mend(picture, defects, frame.layout)
+        if saturated is not None:  # a mean over pixels of which one is saturated counts as saturated
+            saturated_share = saturated.astype(float)
+            _mend(saturated_share, defects, frame.layout)
+            saturated = saturated_share > ROUNDING
+    return replace(frame, corrected_e=picture.astype(np.float32), saturated=saturated)
+
+
+def _mend(picture: Array, defects: NDArray[np.bool_], layout: Layout | None) -> None:
+    """Replace the defects of a picture (rows, columns) in place, as `without_defects`, in each channel by itself."""
+    parts, defect_parts = ([picture], [defects]) if layout is None else (layout.parts(picture), layout.parts(defects))
+    for part, defect_part in zip(parts, defect_parts, strict=True):
+        part[...] = without_defects(part, defect_part)
 
 
 def _dark_rows(sensor: Sensor, count: int, rng: np.random.Generator) -> Sensor | None:

@@ -194,6 +194,7 @@ LINEAR_WITHIN = 1e-6  # of the well: largest error of the linear law below `line
 LINEAR_SHARE = 0.9  # of `linear_limit_e`, where a table begins; the diode loss is 1e-8 of the well there
 TABLE_WITHIN = 8e-7  # of the well: largest interpolation error
 FIRST_ENTRIES = 129  # on each side of the knee, before refinement
+SOFT_FULL = 0.99  # of the full well: a soft saturation counts as full from here
 MAX_STORED = 4.0  # wells; all knees are below, and the ADC saturates there whatever the offsets
 MAX_GENERATED = 1e20  # of the well, where the table ends: about 1e17 e-/s for 10 h into a well of 1e3 e-
 SEARCHED = (LINEAR_WITHIN, 1e6)  # of the well: range in which the linear limit is searched
@@ -287,6 +288,17 @@ def saturation_level_e(integration_s: float, physics: PixelPhysics) -> float:
     if physics.diode is None or physics.pixel.well_limit == "swing":
         return physics.exposures * physics.full_well_e
     return physics.exposures * linear_limit_e(physics.diode, physics.full_well_e, integration_s / physics.exposures)
+
+
+def full_pixels(generated_e: Array, stored_e: Array, physics: PixelPhysics) -> NDArray[np.bool_]:
+    """Return which pixels are full in one exposure, (...): those at the full well, or at `SOFT_FULL` of a soft one.
+
+    generated_e : charge, of light and dark
+    stored_e : its signal level, of `stored_signal_e`
+    """
+    if physics.diode is None or physics.pixel.well_limit == "swing":
+        return np.asarray(generated_e >= physics.full_well_e)
+    return np.asarray(stored_e >= SOFT_FULL * physics.full_well_e)
 
 
 def responds_linearly(physics: PixelPhysics) -> bool:

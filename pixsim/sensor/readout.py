@@ -29,7 +29,7 @@ from pixsim.sensor.integration import (
 from pixsim.sensor.motion import Moving, velocity_um_per_s
 from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.noise import constant_e, variance_e2
-from pixsim.sensor.photodiode import responds_linearly, saturation_level_e, stored_signal_e
+from pixsim.sensor.photodiode import full_pixels, responds_linearly, saturation_level_e, stored_signal_e
 from pixsim.sensor.pixel import CENTRED, PixelPhysics, Registration, derive, warn_of_disagreements, warn_of_implausible_numbers
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.quantities import MAX_CODE_BITS, Aspect, FrameBits, GainDb, Pitch, SaturatedFraction
@@ -194,6 +194,8 @@ class Frame:
     registration : of its pixels on the die, as of `PixelPhysics`
     exposures : that are summed
     white_level_dn : highest code; None: all bits set
+    saturated : (rows, columns) which pixels were full in any exposure: charge at the full well (a soft one: at 99 % of it), or the
+        top code. `saturated_fraction` is its mean, but for a soft well. None: not known
     """
 
     dn: NDArray[np.int32] = field(repr=False)
@@ -211,6 +213,7 @@ class Frame:
     registration: Registration = CENTRED
     exposures: Count = 1
     white_level_dn: float | None = None
+    saturated: NDArray[np.bool_] | None = field(default=None, repr=False)
 
     @property
     def pixels(self) -> tuple[int, int]:
@@ -292,8 +295,8 @@ def read_out(mean_e: NotNegativeArray, integration_s: NotNegative, sensor: Senso
 
 def _expose(
     mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.Generator, each_e: Sequence[Array] = ()
-) -> tuple[NDArray[np.int32], float]:
-    """Return the frame of `read_out` and its saturated fraction, as `Frame` defines it.
+) -> tuple[NDArray[np.int32], NDArray[np.bool_], float]:
+    """Return the frame of `read_out`, its saturated pixels and their fraction, as `Frame` defines them.
 
     each_e : mean electrons in each exposure of a burst, if they differ; else none
 
@@ -308,7 +311,7 @@ def _expose(
     of_pixels_e, of_rows_e = (constant_e(p, is_temporal=True, along=along) for along in ("pixel", "row"))
     # Counted before readout: reset noise and negative offsets keep half of the full pixels off the top code.
     full_e, top_dn = saturation_level_e(integration_s, p), 2**p.pixel.bits - 1
-    saturated: list[int] = []
+    saturated, counts = np.empty(mean_e.shape, bool), list[int]()
 
     def expose(block: slice, rng: np.random.Generator) -> None:
         within = [
@@ -323,8 +326,9 @@ def _expose(
             generated[rows] = _shot_noise(mean, rng)
         for rows in within:
             level, noise = generated[rows], charge[: rows.stop - rows.start]
-            full = level >= full_e
+            saturating, charge_e = level >= full_e, level
             level = stored_signal_e(level, integration_s, p)
+            full = full_pixels(charge_e, level, p)
             if of_pixels_e:
                 _draw_gaussian(of_pixels_e, noise, rng)
                 level += noise
@@ -337,15 +341,17 @@ def _expose(
             if p.pixel.black_level_dn:
                 level += p.pixel.black_level_dn
             _quantise(level, p.pixel.bits, dn[rows])
-            saturated.append(int(np.count_nonzero(full | (dn[rows] >= top_dn))))
+            at_top = dn[rows] >= top_dn
+            np.logical_or(full, at_top, out=saturated[rows])
+            counts.append(int(np.count_nonzero(saturating | at_top)))
 
     by_block(expose, mean_e.shape, rng)
-    return dn, sum(saturated) / max(dn.size, 1)
+    return dn, saturated, sum(counts) / max(dn.size, 1)
 
 
 def _expose_burst(
     mean_e: Array, integration_s: float, sensor: Sensor, rng: np.random.Generator, each_e: Sequence[Array]
-) -> tuple[NDArray[np.int32], float]:
+) -> tuple[NDArray[np.int32], NDArray[np.bool_], float]:
     """Return `_expose` of a burst, for the mean electrons and the time of all its exposures.
 
     The sum of the codes of pixels that no exposure clips, and whose noise makes rounding a noise (`quantise`), is drawn at once:
@@ -359,7 +365,7 @@ def _expose_burst(
     mean_dark_e, full_e = p.dark_current_e_per_s * time_s, saturation_level_e(time_s, p)
     of_pixels_e, of_rows_e = (constant_e(p, is_temporal=True, along=along) for along in ("pixel", "row"))
     is_linear, last_roundings_e = responds_linearly(p), math.sqrt((count - 1) / 12) / gain
-    dn, saturated = np.empty(mean_e.shape, np.int32), []
+    dn, saturated, counts = np.empty(mean_e.shape, np.int32), np.zeros(mean_e.shape, bool), list[int]()
 
     def expose(block: slice, rng: np.random.Generator) -> None:
         for part in strips(block.stop - block.start, dn.shape[1]):
@@ -383,23 +389,28 @@ def _expose_burst(
             level += math.hypot(math.sqrt(count) * of_pixels_e, last_roundings_e) * rng.standard_normal(level.shape)
             level += count * offset_e + of_row_e.sum(axis=0)
             level = np.rint(gain * level + count * black_dn)
-            clipped, full = np.nonzero(~free), 0
+            clipped, count_full = np.nonzero(~free), 0
             if clipped[0].size:
-                total, is_full = np.zeros(clipped[0].size), np.zeros(clipped[0].size, bool)
+                total = np.zeros(clipped[0].size)
+                is_full, is_saturating = (np.zeros(clipped[0].size, bool) for _ in range(2))
                 for number, row_e in enumerate(of_row_e):
                     generated = np.asarray(_shot_noise(means[number % len(means)][clipped], rng), float)
-                    is_full |= generated >= full_e
-                    one = stored_signal_e(generated, time_s, p) + of_pixels_e * rng.standard_normal(generated.size)
+                    stored = stored_signal_e(generated, time_s, p)
+                    is_saturating |= generated >= full_e
+                    is_full |= full_pixels(generated, stored, p)
+                    one = stored + of_pixels_e * rng.standard_normal(generated.size)
                     one += offset_e[clipped] + row_e[clipped[0], 0]
                     codes = np.clip(np.rint(gain * one + black_dn), 0, top_dn)
                     is_full |= codes >= top_dn
+                    is_saturating |= codes >= top_dn
                     total += codes
-                level[clipped], full = total, int(np.count_nonzero(is_full))
+                level[clipped], saturated[rows][clipped] = total, is_full
+                count_full = int(np.count_nonzero(is_saturating))
             np.copyto(dn[rows], level, casting="unsafe")  # whole numbers
-            saturated.append(full)
+            counts.append(count_full)
 
     by_block(expose, mean_e.shape, rng)
-    return dn, sum(saturated) / max(dn.size, 1)
+    return dn, saturated, sum(counts) / max(dn.size, 1)
 
 
 def by_block(draw: Callable[[slice, np.random.Generator], None], shape: tuple[int, int], rng: np.random.Generator) -> None:
@@ -493,8 +504,8 @@ def capture_from_rates(
         brightest_e_per_s = float(signal_e_per_s.max())
     mean_e = _mean_e(signal_e_per_s, brightest_e_per_s, time_s, p)
     exposed = sensor if p is sensor.physics else replace(sensor, physics=p)
-    dn, saturated_fraction = _expose(mean_e, time_s, exposed, rng, [one * (time_s / exposure.frames) for one in each])
-    return _frame(dn, saturated_fraction, mean_e, time_s, p, exposure)
+    dn, saturated, fraction = _expose(mean_e, time_s, exposed, rng, [one * (time_s / exposure.frames) for one in each])
+    return _frame(dn, fraction, mean_e, time_s, p, exposure, saturated)
 
 
 @checks_arguments
@@ -504,18 +515,21 @@ def make_frame(
     signal_e_per_s: NotNegativePicture,
     physics: PixelPhysics,
     exposure: Exposure,
+    saturated: NDArray[np.bool_] | None = None,
 ) -> Frame:
     """Return a `Frame` of digital numbers and the mean photo-electron rates behind them, both (rows, columns).
 
     exposure : with which the numbers were read out
 
     saturated_fraction : as `Frame` defines it; it cannot be counted from the digital numbers
+    saturated : likewise, (rows, columns); None: not known
 
     Raises PixsimError if the electrons are too many for the numbers of the rates.
     """
     brightest_e_per_s = float(signal_e_per_s.max())
     time_s = integration_time_s(exposure, physics, brightest_e_per_s)
-    return _frame(dn, saturated_fraction, _mean_e(signal_e_per_s, brightest_e_per_s, time_s, physics), time_s, physics, exposure)
+    mean_e = _mean_e(signal_e_per_s, brightest_e_per_s, time_s, physics)
+    return _frame(dn, saturated_fraction, mean_e, time_s, physics, exposure, saturated)
 
 
 def _mean_e(signal_e_per_s: Array, brightest_e_per_s: float, time_s: float, physics: PixelPhysics) -> Array:
@@ -527,7 +541,13 @@ def _mean_e(signal_e_per_s: Array, brightest_e_per_s: float, time_s: float, phys
 
 
 def _frame(
-    dn: NDArray[np.int32], saturated_fraction: float, mean_e: Array, time_s: float, physics: PixelPhysics, exposure: Exposure
+    dn: NDArray[np.int32],
+    saturated_fraction: float,
+    mean_e: Array,
+    time_s: float,
+    physics: PixelPhysics,
+    exposure: Exposure,
+    saturated: NDArray[np.bool_] | None,
 ) -> Frame:
     physics = physics.at_exposure(exposure)
     dn_per_e = physics.dn_per_e
@@ -549,6 +569,7 @@ def _frame(
         registration=physics.registration,
         exposures=physics.exposures,
         white_level_dn=None if physics.exposures == 1 else float(physics.top_code_dn),
+        saturated=saturated,
     )
 
 

@@ -218,23 +218,29 @@ def kept_frames(frames_key: str) -> cache.Arrays:
 
 
 DN, SATURATED, MEAN, TIME, CORRECTED = "dn", "saturated_fraction", "mean_electrons_e", "integration_s", "corrected_e"
+SATURATED_PIXELS = "saturated"
 
 
 def name_of(repeat: int, what: str) -> str:
     """Return the name of an array of a frame in the cache.
 
-    Beside digital numbers and corrected electrons, it is what does not follow from them: the saturated fraction, the time and the
-    mean of the electrons.
+    Beside digital numbers and corrected electrons, it is what does not follow from them: the saturated fraction, of a burst the
+    saturated pixels, the time and the mean of the electrons.
     """
     return f"{repeat}_{what}"
 
 
-def kept_frame(known: cache.Arrays, repeat: int, shape: tuple[int, int], corrected: bool) -> cache.Arrays | None:
+def kept_frame(known: cache.Arrays, repeat: int, shape: tuple[int, int], imaging: Imaging) -> cache.Arrays | None:
     """Return what the cache has of a frame (rows, columns), by `DN` and so on; None if a part is missing."""
-    parts = (DN, SATURATED, MEAN, TIME, *([CORRECTED] if corrected else []))
+    pictures = [DN]
+    if imaging.correction.is_on:
+        pictures.append(CORRECTED)
+    if imaging.exposure.frames > 1:
+        pictures.append(SATURATED_PIXELS)
+    parts = (*pictures, SATURATED, MEAN, TIME)
     found = {part: known.get(name_of(repeat, part)) for part in parts}
     whole = {part: array for part, array in found.items() if array is not None}
-    is_whole = all(array.shape == (shape if part in (DN, CORRECTED) else ()) for part, array in whole.items())
+    is_whole = all(array.shape == (shape if part in pictures else ()) for part, array in whole.items())
     return whole if len(whole) == len(parts) and is_whole else None
 
 
@@ -250,7 +256,7 @@ def shown_chain(task: Task, light: SharedLight, repeat: int, known: cache.Arrays
     imaging, physics = task.imaging, task.imaging.registered(repeat)
     rows, columns = pixels_on(light.array_um, physics.as_read.read_pitch_um, physics.registration)
     whole = rows * physics.planes, columns
-    found = kept_frame(known, repeat, whole, imaging.correction.is_on)
+    found = kept_frame(known, repeat, whole, imaging)
     if found is None:
         return None
     exposed = lasting(imaging.exposure, float(found[TIME]))
@@ -273,10 +279,10 @@ def frames_of(
         if chain.rendition is not None:
             chain.matrix  # noqa: B018 – raises an error before a frame is made
         shape = chain.signal_e_per_s.shape
-        found = kept_frame(known, repeat, (shape[0], shape[1]), chain.correction.is_on)
+        found = kept_frame(known, repeat, (shape[0], shape[1]), task.imaging)
         if found is not None:
-            dn, fraction = found[DN].astype(np.int32), float(found[SATURATED])
-            frame = make_frame(dn, fraction, chain.signal_e_per_s, chain.physics, chain.exposure)
+            dn, fraction, saturated = found[DN].astype(np.int32), float(found[SATURATED]), found.get(SATURATED_PIXELS)
+            frame = make_frame(dn, fraction, chain.signal_e_per_s, chain.physics, chain.exposure, saturated)
             yield repeat, chain, replace(frame, corrected_e=found.get(CORRECTED)), float(found[MEAN])
             continue
         sensor_of = partial(kept_sensor, chain) if task.columns else None  # which only other cases have, too
@@ -285,6 +291,8 @@ def frames_of(
             made = {DN: frame.dn.astype(np.min_scalar_type(2**frame.bits - 1)), SATURATED: np.array(frame.saturated_fraction)}
             made |= {MEAN: np.array(frame.mean_e.mean()), TIME: np.array(frame.integration_s)}
             made |= {} if frame.corrected_e is None else {CORRECTED: frame.corrected_e}
+            if frame.exposures > 1 and frame.saturated is not None:
+                made[SATURATED_PIXELS] = frame.saturated
             frames |= {name_of(repeat, part): array for part, array in made.items()}
         yield repeat, chain, frame, None
     if len(frames) > len(known):

@@ -31,8 +31,6 @@ from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display import RGB_FROM_XYZ, WHITE_XYZ, means_on_dots, white_light, white_lx
 from pixsim.viewer.display_options import Display
 
-SATURATED = 0.99  # of the saturation level
-
 
 @dataclass(frozen=True)
 class Rendition:

@@ -455,7 +455,10 @@ def developed_planes(c: Developing) -> list[Array]:
     """
     raw_e = c.frame.electrons
     if c.layout is not None:  # before noise reduction, which leaves less of a saturated pixel
-        c = replace(c, full=np.asarray(raw_e >= SATURATED * c.physics.saturation_e - c.frame.mean_dark_e))
+        full = np.asarray(raw_e >= SATURATED * c.physics.saturation_e - c.frame.mean_dark_e)
+        if c.frame.exposures > 1 and c.frame.saturated is not None:  # the sum hides that some of its exposures are full
+            full |= c.frame.saturated
+        c = replace(c, full=full)
     return developed(cast("list[Array]", _through_steps(raw_e, c, RAW)), c)
 
 

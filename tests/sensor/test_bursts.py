@@ -165,7 +165,8 @@ def test_one_exposure_is_a_frame_to_the_bit() -> None:
     plain = capture_from_rates(rate, sensor, Exposure(), seeded(2))
     for frame in frames:
         np.testing.assert_array_equal(frame.dn, plain.dn)
-        assert replace(frame, dn=plain.dn, mean_e=plain.mean_e) == replace(plain)
+        np.testing.assert_array_equal(frame.saturated, plain.saturated)
+        assert replace(frame, dn=plain.dn, mean_e=plain.mean_e, saturated=plain.saturated) == replace(plain)
 
 
 def test_sums_need_31_bits() -> None:
