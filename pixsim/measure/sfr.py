@@ -32,7 +32,7 @@ from pixsim.base.errors import PixsimError, excerpt, invalid
 from pixsim.base.notes import collected_notes, warn
 from pixsim.base.records import UnitInterval
 from pixsim.sensor.colour import Layout
-from pixsim.sensor.raw import BITS_OF_PICTURES, ENCODING, SUFFIXES, layout_of, read_picture, stated_number
+from pixsim.sensor.raw import BITS_OF_PICTURES, ENCODING, SUFFIXES, black_levels_of, layout_of, read_picture, stated_number
 from pixsim.show.document import Document, Note, Plot, Section, headline
 from pixsim.show.figures import COLOURS, new_figure, own_style
 from pixsim.show.pages import FIGURE_SUFFIXES, Column, Figures, Plate, table_csv
@@ -1078,6 +1078,7 @@ class EdgePicture:
     """A linear picture with its file's metadata, None if absent.
 
     data : (H, W) as stored, including the black level; row 0 on top
+    black_level_dn : a number, or (H, W) where it is not the same for all pixels
     top : value from which a pixel counts as saturated
     layout : of a frame with colour filters, as text
     channel : of a picture of red, green and blue, which the data are
@@ -1085,7 +1086,7 @@ class EdgePicture:
 
     data: NDArray[Any] = field(repr=False)
     pitch_um: float | None = None
-    black_level_dn: float | None = None
+    black_level_dn: float | Array | None = None
     top: float | None = None
     layout: str | None = None
     channel: str | None = None
@@ -1111,6 +1112,9 @@ def read_edge_picture(path: Path, channel: str | None = None) -> EdgePicture:
             raise invalid("channel", f"'{channel}' of '{path}', a picture of red, green and blue", f"R, G, B, {LUMINANCE}")
         data = data @ np.array(list(LUMINANCE_WEIGHTS.values())) if rgb == LUMINANCE else data[..., "RGB".index(rgb)]
     layout = layout_of(metadata, data.shape) if rgb is None else None
+    levels = black_levels_of(metadata, data.shape)
+    if levels is not None:
+        metadata = {name: value for name, value in metadata.items() if name != "black_level_dn"}
     numbers: dict[str, float] = {}
     is_image = path.suffix.lower() in (".png", ".tif", ".tiff")
     for name, (low, high) in METADATA_RANGES.items():
@@ -1127,7 +1131,8 @@ def read_edge_picture(path: Path, channel: str | None = None) -> EdgePicture:
     bits = numbers.get("bits", BITS_OF_PICTURES if is_image and data.dtype == np.uint16 else None)
     top = numbers.get("white_level_dn", None if bits is None else 2.0**bits - 1)
     layout_text = None if layout is None or len(layout.channels) < 2 else str(layout)
-    return EdgePicture(data, numbers.get("pitch_um"), numbers.get("black_level_dn"), top, layout_text, rgb)
+    black_level_dn = numbers.get("black_level_dn") if levels is None else levels
+    return EdgePicture(data, numbers.get("pitch_um"), black_level_dn, top, layout_text, rgb)
 
 
 @checks_arguments
@@ -1173,15 +1178,17 @@ def sfr(
         if layout is not None and picture.channel is not None:
             got = f"{layout} for red, green and blue at each pixel of '{image}'"
             raise invalid(setting("layout"), got, "the filters of a mosaic")
-        level = (picture.black_level_dn or 0.0) if black is None else black
+        stated_level = 0.0 if picture.black_level_dn is None else picture.black_level_dn
+        level = stated_level if black is None else black
+        highest_level = float(np.max(level))
         top = picture.top if saturation is None else saturation
-        if top is not None and top <= level:
+        if top is not None and top <= highest_level:
             name = "black" if saturation is None else "saturation"
-            raise invalid(setting(name), f"{top:g} with a black level of {level:g}", "more than it")
+            raise invalid(setting(name), f"{top:g} with a black level of {highest_level:g}", "more than it")
         edge = edge_response(
             picture.data.astype(float) - level,
             region=region,
-            saturation=None if top is None else top - level,
+            saturation=None if top is None else top - highest_level,
             is_unclipped=saturation is not None,
             layout=layout or picture.layout,
             channel=channel if picture.channel is None else None,

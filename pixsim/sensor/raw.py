@@ -1,17 +1,25 @@
 """Read and write raw frames with their metadata: TIFF and PNG of 16 bits, EXR, npz.
 
 Every format holds the digital numbers unchanged, and the same metadata: black and white level, bits, pitch, gain,
-integration time, saturated fraction, and the layout of the channels of a colour sensor. Each format stores the metadata as follows:
+integration time, saturated fraction, the layout of the channels of a colour sensor, and of a burst the saturated pixels. Each
+format stores the metadata as follows:
 
     TIFF   BlackLevel and WhiteLevel (tags 50714 and 50717, of Adobe's DNG 1.7), and all of it as JSON in ImageDescription
     PNG    a text chunk for each item; there is no sBIT chunk
     EXR    a float32 attribute for each item, and all of it as JSON in `facts`; the channel DN is float32 too, which holds
            24 bits exactly
     npz    an array for each item; `dn` has the smallest unsigned integer type that holds it
+
+The saturated pixels of a burst are an array of an npz, and a text in the other formats: their bits, row by row, compressed by zlib,
+in Base64.
+
+Of a DNG in a TIFF the linearisation table is applied, and what lies outside of the active area is left out.
 """
 
 from __future__ import annotations
 
+import binascii
+import itertools
 import json
 import math
 import os
@@ -22,15 +30,16 @@ import zlib
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base.arguments import NotNegative, Positive, checks_arguments, checks_fields
-from pixsim.base.arrays import ArrayHeader, first_where, read_array, read_arrays
+from pixsim.base.arrays import Array, ArrayHeader, NotNegativeArray, first_where, read_array, read_arrays
 from pixsim.base.errors import PixsimError, invalid, names_in
 from pixsim.base.files import MAX_PICTURE, check_compression, judge_picture, opened, reason, size_of
+from pixsim.base.notes import warn
 from pixsim.light.exr import read_channels, shortest, write_channels, writing
 from pixsim.sensor.colour import ROW_MARK, Layout
 from pixsim.sensor.quantities import FrameBits, Pitch, SaturatedFraction
@@ -48,6 +57,9 @@ BITS_OF_PICTURES = 16  # of TIFF and PNG, as others read them
 MAX_BITS = 32
 BITS_OF = dict.fromkeys((".tiff", ".tif", ".png"), BITS_OF_PICTURES) | {".exr": 24}  # which float32 holds exactly
 BLACK_LEVEL_TAG, WHITE_LEVEL_TAG, DESCRIPTION_TAG = 50714, 50717, 270
+# Of DNG 1.7: codes to linear values, rows and columns of the cell of black levels, what columns and rows add, and the active area.
+LINEARIZATION_TAG, BLACK_DIM_TAG, BLACK_COLUMNS_TAG, BLACK_ROWS_TAG, ACTIVE_AREA_TAG = 50712, 50713, 50715, 50716, 50829
+MAX_CELL = 16  # rows or columns of a cell of black levels
 
 
 @checks_fields
@@ -56,7 +68,7 @@ class RawFrame:
     """Digital numbers of a file and their metadata; None where the file does not state an item.
 
     dn : (rows, columns) unsigned integers, as stored
-    black_level_dn : DN without light and dark charge
+    black_level_dn : DN without light and dark charge; (rows, columns) where it is not the same for all pixels
     white_level_dn : highest code
     bits : of the ADC
     pitch_um : centre to centre
@@ -65,10 +77,11 @@ class RawFrame:
     saturated_fraction : fraction of pixels whose charge or DN reached its limit (`Frame`). Only the simulation knows the
         charge; for files of other programs there is `top_code_fraction`
     layout : which channel each value belongs to, as of a `Frame`
+    saturated : (rows, columns) which pixels of a burst were full in any of its exposures, as of a `Frame`
     """
 
     dn: NDArray[Any] = field(repr=False)
-    black_level_dn: NotNegative | None = None
+    black_level_dn: NotNegative | NotNegativeArray | None = None
     white_level_dn: float | None = None
     bits: FrameBits | None = None
     pitch_um: Pitch | None = None
@@ -76,6 +89,7 @@ class RawFrame:
     integration_s: NotNegative | None = None
     saturated_fraction: SaturatedFraction | None = None
     layout: Layout | None = None
+    saturated: NDArray[np.bool_] | None = None
 
     @property
     def top_code_fraction(self) -> float | None:
@@ -88,7 +102,8 @@ class RawFrame:
 
     def __repr__(self) -> str:
         words = [f"layout={self.layout}"] * (self.layout is not None)
-        words += [f"{name}={value:g}" for name in FACTS if (value := getattr(self, name)) is not None]
+        facts = {name: value for name in FACTS if (value := getattr(self, name)) is not None}
+        words += [f"{name}={np.min(value):g}{f'…{np.max(value):g}' if np.ndim(value) else ''}" for name, value in facts.items()]
         if self.saturated_fraction is None:
             at_top, saturation = self.top_code_fraction, "saturation unknown (no white level)"
             if at_top is not None:
@@ -101,17 +116,45 @@ class RawFrame:
 CFA_DIM_TAG, CFA_PATTERN_TAG, CFA_COLOURS, WRITTEN_COLOURS = 33421, 33422, "RGBCMYW", "RGB"
 ENCODING = "encoding"  # what a file states about a display's encoding of its values
 LAYOUT = "layout"  # as text: RG/GB, the rows of a mosaic's unit cell, upper one first; R+G+B, planes one below the other
+SATURATED, BLACK_LEVEL = "saturated", "black_level_dn"
 FACTS = ("black_level_dn", "white_level_dn", "bits", "pitch_um", "dn_per_e", "integration_s", "saturated_fraction")
 
 
 def facts_of(frame: Frame | RawFrame) -> dict[str, Any]:
     """Return the metadata that a file stores with the digital numbers of a frame."""
-    layout = {} if frame.layout is None else {LAYOUT: str(frame.layout)}
+    more: dict[str, Any] = {} if frame.layout is None else {LAYOUT: str(frame.layout)}
+    if frame.saturated is not None and (isinstance(frame, RawFrame) or frame.exposures > 1):  # else the codes tell it
+        more[SATURATED] = frame.saturated
     if isinstance(frame, RawFrame):
-        return layout | {name: value for name in FACTS if (value := getattr(frame, name)) is not None}
+        facts = {name: value for name in FACTS if (value := getattr(frame, name)) is not None}
+        if np.ndim(facts.get(BLACK_LEVEL, 0.0)):
+            facts[BLACK_LEVEL] = _cell_of(facts[BLACK_LEVEL]).tolist()
+        return more | facts
     facts = {name: value for name in FACTS if (value := getattr(frame, name)) is not None}
     top = {"white_level_dn": 2**frame.bits - 1} | facts  # the white level of a Frame is its top code
-    return layout | {name: float(top[name]) for name in FACTS} | {"bits": int(frame.bits)}
+    return more | {name: float(top[name]) for name in FACTS} | {"bits": int(frame.bits)}
+
+
+def _cell_of(levels: Array) -> Array:
+    """Return the smallest cell of black levels (rows, columns) that repeats itself. Raises PixsimError without one."""
+    sides = range(1, min(MAX_CELL, max(levels.shape)) + 1)
+    for rows, columns in sorted(itertools.product(sides, repeat=2), key=math.prod):
+        if np.array_equal(_tiled(levels[:rows, :columns], levels.shape), levels):
+            return levels[:rows, :columns]
+    hint = "Subtract it before."
+    raise invalid("black_level_dn", "another one for each pixel", f"cells of up to {MAX_CELL} × {MAX_CELL} that repeat", hint)
+
+
+def _tiled(cell: Array, shape: tuple[int, ...]) -> Array:
+    """Return a picture (rows, columns) of cells side by side, which begin at the upper left."""
+    return np.tile(cell, [-(-size // part) for size, part in zip(shape, cell.shape, strict=True)])[: shape[0], : shape[1]]
+
+
+def _as_text(facts: dict[str, Any]) -> dict[str, Any]:
+    """Return the metadata of a frame with the saturated pixels as a text."""
+    if SATURATED not in facts:
+        return facts
+    return facts | {SATURATED: binascii.b2a_base64(zlib.compress(np.packbits(facts[SATURATED])), newline=False).decode()}
 
 
 @checks_arguments
@@ -134,8 +177,10 @@ def write_frame(path: str | os.PathLike[str], frame: Frame | RawFrame) -> None:
     if dn.max() >= 2**bits:
         raise invalid(name, f"digital numbers up to {dn.max()}", f"{bits} bits", "Write .exr or .npz instead.")
     for fact, value in facts.items():
-        if fact != LAYOUT and not math.isfinite(stated_number(facts, fact)):
+        if fact not in (LAYOUT, SATURATED) and not np.ndim(value) and not math.isfinite(stated_number(facts, fact)):
             raise invalid(f"{fact} of the {name}", value, "a finite number, or None")
+    if SATURATED in facts and facts[SATURATED].shape != dn.shape:
+        raise invalid(f"{SATURATED} of the {name}", f"{facts[SATURATED].shape} pixels", f"those of its numbers, {dn.shape}")
     writers[path.suffix.lower()](path, dn, facts)
 
 
@@ -149,7 +194,9 @@ def _check_whole(name: str, dn: NDArray[Any]) -> None:
 
 
 def _write_exr(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
-    write_channels(path, {UNIT: dn}, {"unit": UNIT, **facts, "facts": json.dumps(facts, sort_keys=True)})
+    facts = _as_text(facts)
+    attributes = {name: value for name, value in facts.items() if name != SATURATED and not isinstance(value, list)}
+    write_channels(path, {UNIT: dn}, {"unit": UNIT, **attributes, "facts": json.dumps(facts, sort_keys=True)})
 
 
 def _write_npz(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
@@ -163,7 +210,7 @@ def _write_png(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
     from PIL.PngImagePlugin import PngInfo
 
     metadata = PngInfo()
-    for name, value in {"unit": UNIT, **facts}.items():
+    for name, value in {"unit": UNIT, **_as_text(facts)}.items():
         metadata.add_text(name, str(value))
     with writing(path) as unfinished:
         _picture(dn).save(unfinished, "PNG", pnginfo=metadata)
@@ -174,7 +221,12 @@ def _write_tiff(path: Path, dn: NDArray[Any], facts: dict[str, Any]) -> None:
     from PIL.TiffTags import BYTE, DOUBLE, LONG, SHORT
 
     tags = ImageFileDirectory_v2()
-    tags[DESCRIPTION_TAG] = json.dumps({"unit": UNIT, **facts}, sort_keys=True)
+    tags[DESCRIPTION_TAG] = json.dumps({"unit": UNIT, **_as_text(facts)}, sort_keys=True)
+    if isinstance(facts.get(BLACK_LEVEL), list):
+        levels = np.array(facts[BLACK_LEVEL])
+        tags.tagtype |= {BLACK_DIM_TAG: SHORT, BLACK_LEVEL_TAG: DOUBLE}
+        tags[BLACK_DIM_TAG], tags[BLACK_LEVEL_TAG] = levels.shape, tuple(levels.ravel().tolist())
+        facts = {name: value for name, value in facts.items() if name != BLACK_LEVEL}
     for tag, name, kind in ((BLACK_LEVEL_TAG, "black_level_dn", DOUBLE), (WHITE_LEVEL_TAG, "white_level_dn", LONG)):
         if name in facts:
             tags.tagtype[tag] = kind
@@ -198,7 +250,8 @@ def _picture(dn: NDArray[Any]) -> Image:
 def read_frame(path: str | os.PathLike[str]) -> RawFrame:
     """Read the digital numbers and metadata of a raw frame, from pixsim or another program.
 
-    path : .tiff, .tif or .png (grey, 16 bits), .exr (one channel), .npz (`dn`, or a single array); of TIFF/EP with its layout
+    path : .tiff, .tif or .png (grey, 16 bits), .exr (one channel), .npz (`dn`, or a single array); of TIFF/EP with its layout.
+        Of several pages or parts the first is read, with a warning
 
     Raises PixsimError if the file is missing, damaged, in colour, of 8 bits, or larger than 2²⁸ pixels.
 
@@ -214,7 +267,10 @@ def read_frame(path: str | os.PathLike[str]) -> RawFrame:
     _check_whole(f"raw frame '{path}'", dn)
     numbers = {name: value for name in FACTS if math.isfinite(value := stated_number(metadata, name))}
     facts: dict[str, Any] = {name: round(value) if name == "bits" else value for name, value in numbers.items()}
-    return RawFrame(dn.astype(np.min_scalar_type(int(dn.max()))), **facts, layout=layout_of(metadata, dn.shape))
+    if (levels := black_levels_of(metadata, dn.shape)) is not None:
+        facts[BLACK_LEVEL] = levels
+    more = {"layout": layout_of(metadata, dn.shape), "saturated": saturated_of(metadata, dn.shape)}
+    return RawFrame(dn.astype(np.min_scalar_type(int(dn.max()))), **facts, **more)
 
 
 def layout_of(metadata: dict[str, Any], shape: tuple[int, ...]) -> Layout | None:
@@ -224,6 +280,27 @@ def layout_of(metadata: dict[str, Any], shape: tuple[int, ...]) -> Layout | None
     except (KeyError, ValueError):
         return None
     return None if shape[0] % layout.planes else layout
+
+
+def black_levels_of(metadata: dict[str, Any], shape: tuple[int, ...]) -> Array | None:
+    """Return the black levels, (rows, columns), of a file that states a cell of them or one for each pixel; else None."""
+    stated = metadata.get(BLACK_LEVEL)
+    with suppress(TypeError, ValueError, RecursionError):
+        levels = np.asarray(json.loads(stated) if isinstance(stated, str) else stated, float)
+        if levels.ndim == 2 and levels.size and np.isfinite(levels).all() and levels.min() >= 0:
+            return _tiled(levels, shape)
+    return None
+
+
+def saturated_of(metadata: dict[str, Any], shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
+    """Return the saturated pixels, (rows, columns), that a file states; None if they are absent or not of this frame."""
+    stated, size = metadata.get(SATURATED), math.prod(shape)
+    if isinstance(stated, np.ndarray):
+        return stated if stated.shape == shape and stated.dtype == bool else None
+    with suppress(TypeError, ValueError, zlib.error):  # a text of another program under the same name
+        packed = zlib.decompressobj().decompress(binascii.a2b_base64(stated), -(-size // 8))
+        return np.unpackbits(np.frombuffer(packed, np.uint8), count=size).reshape(shape).astype(bool)
+    return None
 
 
 def stated_number(metadata: dict[str, Any], name: str) -> float:
@@ -277,13 +354,21 @@ def _read_exr(path: Path, *_: str) -> tuple[NDArray[Any], dict[str, Any]]:
 
 
 def _read_numpy(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dict[str, Any]]:
+    stored = (*FACTS, LAYOUT, SATURATED)
+
     def check(array: str, header: ArrayHeader) -> None:
         if array == LAYOUT and path.suffix.lower() == ".npz":
             if header.shape not in ((), (1,)) or header.dtype.kind != "U" or header.dtype.itemsize > MAX_LAYOUT_BYTES:
                 raise invalid(f"{array} of '{path}'", f"{header.dtype} of shape {header.shape}", "one text, as RG/GB")
         elif array in FACTS and path.suffix.lower() == ".npz":
-            if header.shape not in ((), (1,)):
-                raise invalid(f"{array} of '{path}'", f"an array of shape {header.shape}", "one number")
+            is_cell = array == BLACK_LEVEL and len(header.shape) == 2 and max(header.shape) <= MAX_CELL
+            if header.shape not in ((), (1,)) and not is_cell:
+                allowed = f"one number, or a cell of up to {MAX_CELL} × {MAX_CELL}" if array == BLACK_LEVEL else "one number"
+                raise invalid(f"{array} of '{path}'", f"an array of shape {header.shape}", allowed)
+        elif array == SATURATED and path.suffix.lower() == ".npz":
+            if len(header.shape) != 2 or header.dtype.kind != "b" or math.prod(header.shape) > MAX_PICTURE:
+                got = f"{header.dtype} of shape {header.shape}"
+                raise invalid(f"{array} of '{path}'", got, "true or false for each pixel, (rows, columns)")
         elif not (len(header.shape) == 2 or header.shape[2:] in ((3,), (4,))) or header.dtype.kind not in "biuf":
             raise invalid(f"{name} '{path}'", f"{header.dtype} of shape {header.shape}", "real or whole numbers, (rows, columns)")
         elif math.prod(header.shape) > MAX_PICTURE:
@@ -293,13 +378,13 @@ def _read_numpy(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dic
         if "dn" not in names and len(names) != 1:
             got = ", ".join(names_in(names[:8])) or "none"
             raise invalid(f"arrays of '{path}'", got, "dn, the digital numbers, or a single array")
-        return ["dn", *(fact for fact in (*FACTS, LAYOUT) if fact in names)] if "dn" in names else names
+        return ["dn", *(fact for fact in stored if fact in names)] if "dn" in names else names
 
     if path.suffix.lower() == ".npy":
         return _without_alpha(read_array(path, name, expected, check)), {}
     arrays = read_arrays(path, name, expected, choose, check)
     picture = "dn" if "dn" in arrays else next(iter(arrays))
-    return _without_alpha(arrays[picture]), {fact: arrays[fact] for fact in (*FACTS, LAYOUT) if fact in arrays}
+    return _without_alpha(arrays[picture]), {fact: arrays[fact] for fact in stored if fact in arrays}
 
 
 def _without_alpha(picture: NDArray[Any]) -> NDArray[Any]:
@@ -307,6 +392,30 @@ def _without_alpha(picture: NDArray[Any]) -> NDArray[Any]:
 
 
 def _read_image(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dict[str, Any]]:
+    decoded = _decoded(path, name, expected)
+    if decoded.pages > 1:
+        warn(f"'{path}' has {decoded.pages} pages: the first is read. Save the others as files of their own to read them")
+    samples, of_tags = _described(path, decoded.samples, decoded.tags)
+    return samples, decoded.metadata | of_tags
+
+
+class Decoded(NamedTuple):
+    """The first picture of a TIFF or PNG.
+
+    samples : (rows, columns) or (rows, columns, 3), as stored
+    tags : of a TIFF
+    pages : how many pictures the file has
+    metadata : what a PNG states, and the encoding for displays of both
+    """
+
+    samples: NDArray[Any]
+    tags: Mapping[int, Any]
+    pages: int
+    metadata: dict[str, Any]
+
+
+def _decoded(path: Path, name: str, expected: str) -> Decoded:
+    """Decode a TIFF or PNG, without Pillow's warnings."""
     from PIL import Image
 
     try:
@@ -334,13 +443,95 @@ def _read_image(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dic
         if encoded and abs(float(image.info.get("gamma", 0.0)) - 1.0) > 1e-3:
             metadata[ENCODING] = encoded[0]
         samples = np.asarray(image)
-        metadata |= _metadata_of_tags(tags)
+        pages = tiff_pages(file) if tags else getattr(image, "n_frames", 1)
     if is_deep_colour:
         with warnings.catch_warnings(action="ignore"), opened(path, name, expected) as file, Image.open(file) as image:
             # Pillow keeps the upper byte of each sample of RGB; in the other order of bytes that is the lower one.
             image.tile = [tile._replace(args=_other_order(tile.args)) for tile in tiles]
             samples = (samples.astype(np.uint16) << 8 | np.asarray(image))[..., :3]
+    return Decoded(samples, tags, pages, metadata)
+
+
+BIG_TIFF, SUBFILE_TAG = 43, 254  # second number of its head, and NewSubfileType
+REDUCED, MASK = 1, 4  # its bits of a thumbnail and of a transparency mask
+MAX_PAGES = 10_000  # that are counted
+
+
+def tiff_pages(file: IO[bytes]) -> int:
+    """Return the pages of a TIFF or BigTIFF, up to `MAX_PAGES`, without thumbnails and masks beside the first one."""
+    file.seek(0)
+    head = file.read(16)
+    order = "<" if head[:2] == b"II" else ">"
+    is_big = struct.unpack_from(f"{order}H", head, 2)[0] == BIG_TIFF
+    # An entry is tag, type, count and value; the next directory's offset stands behind the entries.
+    count_format, entry_format, offset_format = ("Q", "HHQI4x", "Q") if is_big else ("H", "HHII", "I")
+    (offset,) = struct.unpack_from(order + offset_format, head, 8 if is_big else 4)
+    seen, pages, stored = set[int](), 0, os.fstat(file.fileno()).st_size
+    while offset and offset not in seen and len(seen) < MAX_PAGES:
+        seen.add(offset)
+        file.seek(offset)
+        count_bytes = file.read(struct.calcsize(order + count_format))
+        if len(count_bytes) < struct.calcsize(order + count_format):
+            break
+        (count,) = struct.unpack(order + count_format, count_bytes)
+        size = count * struct.calcsize(order + entry_format)
+        if offset + size > stored:
+            break
+        entries = file.read(size)
+        kinds = {tag: value for tag, _, _, value in struct.iter_unpack(order + entry_format, entries)}
+        pages += not (pages and kinds.get(SUBFILE_TAG, 0) & (REDUCED | MASK))
+        link = file.read(struct.calcsize(order + offset_format))
+        if len(link) < struct.calcsize(order + offset_format):
+            break
+        (offset,) = struct.unpack(order + offset_format, link)
+    return pages
+
+
+def _described(path: Path, samples: NDArray[Any], tags: Mapping[int, Any]) -> tuple[NDArray[Any], dict[str, Any]]:
+    """Return what the tags of a TIFF make of its samples, and the metadata that they state.
+
+    The active area of a DNG, by its linearisation table; of other files the samples as they are.
+    """
+    table = np.atleast_1d(np.asarray(tags.get(LINEARIZATION_TAG, [])))
+    if table.size and samples.dtype.kind in "ui":
+        samples = table.astype(np.uint32)[np.clip(samples, 0, table.size - 1)]
+    with suppress(KeyError, TypeError, ValueError):
+        top, left, bottom, right = (int(edge) for edge in tags[ACTIVE_AREA_TAG])
+        is_part = (top, left, bottom, right) != (0, 0, *samples.shape[:2])
+        if is_part and 0 <= top < bottom <= samples.shape[0] and 0 <= left < right <= samples.shape[1]:
+            samples = samples[top:bottom, left:right]
+            area = f"rows {top} to {bottom - 1} and columns {left} to {right - 1}"
+            warn(f"'{path}' has its active area in {area}: what is outside, which gets no light, is left out")
+    metadata = _metadata_of_tags(tags)
+    if BLACK_LEVEL not in metadata and BLACK_LEVEL_TAG in tags:
+        levels = _black_levels_of_tags(tags, samples.shape)
+        if levels is None:
+            values = np.atleast_1d(np.asarray(tags[BLACK_LEVEL_TAG], float))
+            got = f"{values.size} black levels from {values.min():g} to {values.max():g}"
+            warn(f"'{path}' states {got}, which fit no cell (BlackLevelRepeatDim) of its pixels: they are not used")
+        else:
+            metadata[BLACK_LEVEL] = levels if np.ptp(levels) else float(levels[0, 0])
     return samples, metadata
+
+
+def _black_levels_of_tags(tags: Mapping[int, Any], shape: tuple[int, ...]) -> Array | None:
+    """Return the black levels that the tags of a DNG state, a cell or (rows, columns); None if they do not fit the picture.
+
+    The cell's, with what BlackLevelDeltaH adds to each column, and BlackLevelDeltaV to each row. Of several samples in a pixel
+    there is none.
+    """
+    with suppress(TypeError, ValueError):
+        values = np.atleast_1d(np.asarray(tags[BLACK_LEVEL_TAG], float))
+        if (values == values[0]).all():
+            levels = values[:1, None]
+        else:
+            levels = values.reshape([int(side) for side in tags.get(BLACK_DIM_TAG, (1, 1))])
+        columns, rows = (np.atleast_1d(np.asarray(tags.get(tag, 0.0), float)) for tag in (BLACK_COLUMNS_TAG, BLACK_ROWS_TAG))
+        if columns.any() or rows.any():
+            levels = _tiled(levels, shape) + columns + rows[:, None]
+        is_level = levels.ndim == 2 and (len(shape) == 2 or not np.ptp(levels))
+        return levels if is_level and np.isfinite(levels).all() and levels.min() >= 0 else None
+    return None
 
 
 Decoding = str | tuple[Any, ...] | None  # arguments of a decoder of Pillow
@@ -358,10 +549,9 @@ def _other_order(arguments: Decoding) -> Decoding:
 def _metadata_of_tags(tags: Mapping[int, Any]) -> dict[str, Any]:
     """Return the items of `FACTS` and the layout that the tags of a TIFF state; pixsim's JSON goes before DNG and TIFF/EP."""
     metadata: dict[str, Any] = {}
-    for tag, level in ((BLACK_LEVEL_TAG, "black_level_dn"), (WHITE_LEVEL_TAG, "white_level_dn")):
-        values = np.atleast_1d(np.asarray(tags.get(tag, []), float))
-        if values.size and (values == values[0]).all():  # DNG has one for each place of the cell
-            metadata[level] = float(values[0])
+    white = np.atleast_1d(np.asarray(tags.get(WHITE_LEVEL_TAG, []), float))
+    if white.size:
+        metadata["white_level_dn"] = float(white.min())  # DNG has one for each sample of a pixel
     with suppress(KeyError, IndexError, TypeError, ValueError):
         rows, columns = (int(count) for count in tags[CFA_DIM_TAG])
         letters = "".join(CFA_COLOURS[code] for code in tags[CFA_PATTERN_TAG])
@@ -378,7 +568,7 @@ NO_COMPRESSION, DEFLATE = 1, (8, 32946)
 PHOTOMETRICS = {1: "grey", 2: "RGB", 32803: "a mosaic of colours", 34892: "linear raw"}
 
 
-def _read_other_tiff(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dict[str, Any]] | None:
+def _read_other_tiff(path: Path, name: str, expected: str) -> Decoded | None:
     """Read a TIFF in strips that Pillow does not open, as a mosaic of TIFF/EP or RGB in floating point; None if it is no TIFF."""
     from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
@@ -435,7 +625,7 @@ def _read_other_tiff(path: Path, name: str, expected: str) -> tuple[NDArray[Any]
             part[:] = np.frombuffer(block, kind, part.size).reshape(part.shape)
         whole = data[0] if not planar else np.moveaxis(data[..., 0], 0, 2)
         samples = whole[..., 0] if count == 1 else whole[..., :3]
-        return samples.astype(kind.newbyteorder("=")), _metadata_of_tags(tags)
+        return Decoded(samples.astype(kind.newbyteorder("=")), tags, tiff_pages(file), {})
 
 
 def _json_of(text: object) -> dict[str, Any]:
