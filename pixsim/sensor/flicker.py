@@ -24,6 +24,32 @@ def light_over_mean(mid_s: Array, time_s: float, frequency_hz: float, depth: flo
     return 1 + depth * np.sinc(frequency_hz * time_s) * np.cos(2 * math.pi * frequency_hz * mid_s + phase)
 
 
+def burst_modulation(exposure: Exposure, time_s: float) -> float:
+    """Return by how much the exposures of a burst may differ in their light, (most - least)/(most + least) over all phases.
+
+    time_s : of all exposures together
+    """
+    if exposure.frames == 1 or exposure.flicker_hz is None or exposure.flicker_depth is None:
+        return 0.0
+    return abs(exposure.flicker_depth * float(np.sinc(exposure.flicker_hz * time_s / exposure.frames)))
+
+
+def clipped_light(limit: float, modulation: float) -> float:
+    """Return the mean of min(1 + m cos θ, limit) over all phases θ: what is left of flickering light of mean 1 that clips.
+
+    With the limit reached at θ = c, cos c = (limit - 1)/m, it is (limit c + π - c - m sin c)/π.
+
+    >>> clipped_light(0.7, 0.0), clipped_light(1.5, 0.4), round(clipped_light(1.0, 0.6), 6)  # 1 - 0.6/π
+    (0.7, 1.0, 0.809014)
+    """
+    if limit >= 1 + modulation:
+        return 1.0
+    if limit <= 1 - modulation:
+        return limit
+    phase = math.acos((limit - 1) / modulation)
+    return (limit * phase + math.pi - phase - modulation * math.sin(phase)) / math.pi
+
+
 def flickering(
     gains: tuple[Array, ...], time_s: float, rows: int, exposure: Exposure, rng: np.random.Generator
 ) -> tuple[Array, ...]:

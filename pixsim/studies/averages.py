@@ -69,7 +69,8 @@ class Compared:
         """Causes of its mean ΔE beside its noise and blur, the largest first."""
         frame, lightness = self.score.frame, lightness_range(self.score.ideal)
         of_frame = self.white_e, frame.integration_s, lightness, frame.saturated_fraction
-        return causes_of(self.irradiance.header, self.score.display, self.score.physics, *of_frame)
+        exposure = self.sensor.settings.exposure
+        return causes_of(self.irradiance.header, self.score.display, self.score.physics, *of_frame, exposure)
 
     @property
     def delta_e(self) -> Array:

@@ -636,7 +636,8 @@ def causes_of_curve(series: Series, curve: Curve, lightness: tuple[float, float]
     white_e = white_rate(image, at_best.camera, at_best.physics, at_best.display) * area_um2 * float(time_s)
     at_size = (float(row["saturated_fraction"]) for row in rows if float(row["pitch_um"]) == curve.pitch_um[place])
     full = list(islice(at_size, FEW_ROWS))
-    return causes_of(image.header, at_best.display, read, white_e, float(time_s), lightness, float(np.mean(full)))
+    of_frame = white_e, float(time_s), lightness, float(np.mean(full))
+    return causes_of(image.header, at_best.display, read, *of_frame, at_best.exposure)
 
 
 def over_sensors(statistic: Callable[..., Array], values: Array) -> Array:

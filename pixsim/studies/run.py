@@ -294,7 +294,8 @@ class RunResult(LitRun):
         """Causes of the mean ΔE beside the sensor's noise and blur, the largest first."""
         frame, lightness = self.score.frame, lightness_range(self.score.ideal)
         of_frame = self.white_e, frame.integration_s, lightness, frame.saturated_fraction
-        return causes_of(self.irradiance.header, self.score.display, self.score.physics, *of_frame)
+        exposure = self.settings.exposure
+        return causes_of(self.irradiance.header, self.score.display, self.score.physics, *of_frame, exposure)
 
     @property
     def film(self) -> dict[str, Any] | None:

@@ -13,6 +13,8 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
+from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.flicker import burst_modulation, clipped_light
 from pixsim.sensor.outside import SHOWN_SHARE, outside_hint, outside_share, outside_words
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.viewer.display import setting_of_white
@@ -25,6 +27,7 @@ ALL = 100.0  # ΔE from black to white
 SATURATED_SHOWN = 0.01  # of the pixels; the tail of shot noise fills fewer
 LINEAR_BELOW = 8.0  # of L*, which is linear in luminance there (CIE 15)
 ROUNDING = 1e-9  # of a number of codes
+STEADY = Exposure()
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,7 @@ def causes_of(
     integration_s: float,
     lightness: tuple[float, float],
     saturated_fraction: float = 0.0,
+    exposure: Exposure = STEADY,
 ) -> tuple[Cause, ...]:
     """Return the causes of a score, the largest first.
 
@@ -65,9 +69,11 @@ def causes_of(
     white_e : mean electrons of the scene's white on axis, in this time
     lightness : of the ideal image, as of `lightness_range`
     saturated_fraction : of the pixels of a frame
+    exposure : of the frame, whose light may flicker
     """
     few_codes = _codes(physics, white_e, integration_s, lightness[1])
-    full = _full(_range_e(physics, integration_s), white_e, lightness[1], saturated_fraction)
+    modulation = burst_modulation(exposure, integration_s)
+    full = _full(_range_e(physics, integration_s), white_e, lightness[1], saturated_fraction, modulation)
     found = [_contrast(*lightness, setting_of_white(header, display)), few_codes or full, _light(outside_share(header, physics))]
     return tuple(sorted(filter(None, found), key=lambda cause: -cause.delta_e))
 
@@ -146,10 +152,15 @@ def _contrast(low: float, high: float, white: str) -> Cause | None:
     return Cause(f"the ideal image has no contrast, L* {low:.1f} to {high:.1f}", ALL, hint)
 
 
-def _full(range_e: float, white_e: float, lightest: float, share: float) -> Cause | None:
-    if share <= SATURATED_SHOWN or range_e >= white_e:  # where display white clips too, full pixels cost nothing
+def _full(range_e: float, white_e: float, lightest: float, share: float, modulation: float) -> Cause | None:
+    """Return full pixels as a cause of ΔE.
+
+    modulation : of the light of the exposures of a burst, each of which clips by itself
+    """
+    # Where display white clips too, full pixels cost nothing.
+    if share <= SATURATED_SHOWN or range_e >= white_e * (1 + modulation):
         return None
-    lost = lightest - float(lightness_of(np.array(max(range_e, 0.0) / white_e)))
+    lost = lightest - float(lightness_of(np.array(clipped_light(max(range_e, 0.0) / white_e, modulation))))
     if lost < SEEN_LIGHTNESS:
         return None
     hint = f"less time ({setting('exposure.integration_s')}) or gain ({setting('exposure.gain_db')}), or a larger full well"
