@@ -19,7 +19,6 @@ from pixsim.base.arguments import LARGEST, SMALLEST, checks_arguments
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import check_compression, check_size, opened, quiet_stdout, replacing
 from pixsim.base.mapped import release
-from pixsim.base.notes import warn
 from pixsim.light.spectral import DIFFUSER, DIFFUSER_W, EDGE, LAMP, WHITE_LAMPS, WHOLE, SpectralImage
 
 MAGIC = 20000630
@@ -217,8 +216,6 @@ def read_header(path: str | os.PathLike[str]) -> dict[str, Any]:
 def read_channels(path: str | os.PathLike[str]) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
     """Read the channels of an EXR, name -> (H, W) float32, and its header. Raises PixsimError as `_opened` does."""
     with _opened(path) as file:
-        if (parts := len(file.parts)) > 1:
-            warn(f"'{path}' has {parts} parts: the first is read. Save the others as files of their own to read them")
         planes = {name: channel.pixels.astype(np.float32, copy=False) for name, channel in file.channels().items()}
         return planes, dict(file.header())
 

@@ -394,7 +394,7 @@ def _without_alpha(picture: NDArray[Any]) -> NDArray[Any]:
 def _read_image(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dict[str, Any]]:
     decoded = _decoded(path, name, expected)
     if decoded.pages > 1:
-        warn(f"'{path}' has {decoded.pages} pages: the first is read. Save the others as files of their own to read them")
+        warn(pages_text(path, decoded.pages))
     samples, of_tags = _described(path, decoded.samples, decoded.tags)
     return samples, decoded.metadata | of_tags
 
@@ -442,8 +442,10 @@ def _decoded(path: Path, name: str, expected: str) -> Decoded:
         encoded = [word for word in ("srgb", "gamma", "icc_profile") if word in image.info]
         if encoded and abs(float(image.info.get("gamma", 0.0)) - 1.0) > 1e-3:
             metadata[ENCODING] = encoded[0]
+        if np.ptp(np.diff(np.asarray(tags.get(TRANSFER_FUNCTION, [0, 0]), float))) > 1:  # of a line, steps differ by rounding
+            metadata[ENCODING] = "TransferFunction"
         samples = np.asarray(image)
-        pages = tiff_pages(file) if tags else getattr(image, "n_frames", 1)
+        pages = page_count(image, file)
     if is_deep_colour:
         with warnings.catch_warnings(action="ignore"), opened(path, name, expected) as file, Image.open(file) as image:
             # Pillow keeps the upper byte of each sample of RGB; in the other order of bytes that is the lower one.
@@ -455,6 +457,18 @@ def _decoded(path: Path, name: str, expected: str) -> Decoded:
 BIG_TIFF, SUBFILE_TAG = 43, 254  # second number of its head, and NewSubfileType
 REDUCED, MASK = 1, 4  # its bits of a thumbnail and of a transparency mask
 MAX_PAGES = 10_000  # that are counted
+
+
+def pages_text(path: Path, pages: int) -> str:
+    """Return what is said of a file of several pictures."""
+    return f"'{path}' has {pages} pages: the first is read. Save the others as files of their own to read them"
+
+
+def page_count(image: Image, file: IO[bytes]) -> int:
+    """Return how many pictures a TIFF or PNG has that Pillow opened; 1 of others, as of a JPEG with a preview."""
+    if image.format == "TIFF":
+        return tiff_pages(file)
+    return getattr(image, "n_frames", 1) if image.format == "PNG" else 1
 
 
 def tiff_pages(file: IO[bytes]) -> int:
@@ -492,6 +506,9 @@ def _described(path: Path, samples: NDArray[Any], tags: Mapping[int, Any]) -> tu
 
     The active area of a DNG, by its linearisation table; of other files the samples as they are.
     """
+    if tags.get(PHOTOMETRIC) == WHITE_IS_ZERO:
+        hint = "Save it with 0 for black (BlackIsZero)."
+        raise invalid(f"picture '{path}'", "values whose 0 is white (WhiteIsZero)", "values that grow with the light", hint)
     table = np.atleast_1d(np.asarray(tags.get(LINEARIZATION_TAG, [])))
     if table.size and samples.dtype.kind in "ui":
         samples = table.astype(np.uint32)[np.clip(samples, 0, table.size - 1)]
@@ -562,9 +579,10 @@ def _metadata_of_tags(tags: Mapping[int, Any]) -> dict[str, Any]:
 
 # Of TIFF 6.0: tags, and the kinds of samples by format (1 unsigned, 2 signed, 3 floating point).
 WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, OFFSETS, COUNT, STRIP_ROWS, SIZES = 256, 257, 258, 259, 262, 273, 277, 278, 279
-PLANAR, PREDICTOR, SAMPLE_FORMAT = 284, 317, 339
+PLANAR, TRANSFER_FUNCTION, PREDICTOR, SAMPLE_FORMAT = 284, 301, 317, 339
 KINDS = {1: "u", 2: "i", 3: "f"}
 NO_COMPRESSION, DEFLATE = 1, (8, 32946)
+WHITE_IS_ZERO = 0  # a photometric interpretation
 PHOTOMETRICS = {1: "grey", 2: "RGB", 32803: "a mosaic of colours", 34892: "linear raw"}
 
 
