@@ -299,7 +299,8 @@ def saturated_of(metadata: dict[str, Any], shape: tuple[int, ...]) -> NDArray[np
         return stated if stated.shape == shape and stated.dtype == bool else None
     with suppress(TypeError, ValueError, zlib.error):  # a text of another program under the same name
         packed = zlib.decompressobj().decompress(binascii.a2b_base64(stated), -(-size // 8))
-        return np.unpackbits(np.frombuffer(packed, np.uint8), count=size).reshape(shape).astype(bool)
+        if len(packed) == -(-size // 8):
+            return np.unpackbits(np.frombuffer(packed, np.uint8), count=size).reshape(shape).astype(bool)
     return None
 
 

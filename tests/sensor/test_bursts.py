@@ -20,7 +20,7 @@ from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.sensor.raw import read_frame, write_frame
+from pixsim.sensor.raw import SUFFIXES, read_frame, saturated_of, write_frame
 from pixsim.sensor.readout import (
     capture_from_rates,
     frame_mean_dn,
@@ -174,3 +174,86 @@ def test_sums_need_31_bits() -> None:
     allowed = re.escape("exposure.frames: got 1000 exposures of 24 bits, whose sum has 34; allowed: sums of at most 31 bits")
     with pytest.raises(PixsimError, match=allowed):
         integration_time_s(Exposure(frames=1000), physics, 1.0)
+
+
+QUAD = {"pattern": "quad_rggb", "binning": True, "sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5}
+
+
+@pytest.mark.parametrize("more", [{}, {"colour": QUAD}], ids=["pixels", "binned"])
+def test_saturated_pixels_are_those_full_in_any_exposure(more: dict[str, Any]) -> None:
+    """Row k is 40 standard deviations above the well in exposure k alone, the other rows never; the sum is below half of all wells."""
+    sheet = {"technology": "4t-bsi", "pitch_um": 2.0, "bits": 14, "prnu": 0.0, "dark_current_e_per_s": 0.0} | more
+    physics = derive(Pixel.model_validate(sheet)).as_read
+    well_e, rows = physics.full_well_e, COUNT + 2
+    sensor = sample_sensor(physics, (rows, 40), seeded(1))
+    signals = [np.full(sensor.shape, 0.3 * well_e / TIME_S) for _ in range(COUNT)]
+    for number, signal in enumerate(signals):
+        signal[number] = (well_e + 40 * math.sqrt(well_e)) / TIME_S
+    exposure = Exposure(integration_s=TIME_S, frames=COUNT, frame_time="each")
+    frame = capture_from_rates(np.mean(signals, axis=0), sensor, exposure, seeded(2), signals)
+    assert frame.saturated is not None
+    np.testing.assert_array_equal(frame.saturated, np.broadcast_to(np.arange(rows)[:, None] < COUNT, frame.dn.shape))
+    assert frame.saturated_fraction == COUNT / rows
+    assert frame.dn.max() < COUNT * 2**14 / 2
+
+
+def test_saturated_share_is_the_mean_of_saturated_pixels() -> None:
+    physics = derive(Pixel(**SHEET | {"bits": 14, "prnu": 0.0, "dsnu": 0.0}))
+    sensor, rate = sample_sensor(physics, (200, 200), seeded(1)), np.full((200, 200), COUNT * 7850.0 / TIME_S)
+    for exposure in (Exposure(integration_s=TIME_S, frames=COUNT), Exposure(integration_s=TIME_S / COUNT)):
+        frame = capture_from_rates(rate, sensor, exposure, seeded(2))
+        assert frame.saturated is not None
+        assert 0.03 < frame.saturated_fraction == frame.saturated.mean() < 0.5
+
+
+def test_soft_well_is_full_at_its_full_well() -> None:
+    """At 95 % of the swing it has lost some light, which `saturated_fraction` counts, but it is full from 99 % on.
+
+    Both are more than 10 standard deviations of the shot noise away.
+    """
+    sheet = {"pitch_um": 6.5, "black_level_dn": 40.0, "bits": 14, "adc_full_scale_e": 4e5, "prnu": 0.0, "dsnu": 0.0}
+    physics = derive(Pixel(**sheet, well_limit="diode"))
+    assert 0.03 * math.sqrt(physics.full_well_e) > 10
+    for wells, share in ((0.95, 0.0), (1.2, 1.0)):
+        rate = np.full((50, 50), wells * physics.full_well_e / TIME_S)
+        exposure = Exposure(integration_s=TIME_S, frames=COUNT, frame_time="each")
+        frame = capture_from_rates(rate, sample_sensor(physics, rate.shape, seeded(1)), exposure, seeded(2))
+        assert frame.saturated is not None
+        assert (frame.saturated.mean(), frame.saturated_fraction) == (share, 1.0)
+
+
+def test_defect_between_saturated_pixels_is_saturated() -> None:
+    """A hot pixel, full in each exposure, is replaced by its neighbours: it is saturated if one of them is."""
+    physics = derive(Pixel(**SHEET | {"prnu": 0.0, "dsnu": 0.0, "dark_current_e_per_s": 50.0}))
+    sensor = sample_sensor(physics, (40, 40), seeded(1))
+    hot = np.ones(sensor.shape)
+    hot[10, 10] = hot[30, 30] = 1e5
+    sensor, signals = replace(sensor, dark_gain=hot), [np.full(sensor.shape, 2e4) for _ in range(COUNT)]
+    signals[3][10, 11] = 1e7
+    exposure = Exposure(integration_s=TIME_S, frames=COUNT, frame_time="each")
+    frame = capture_from_rates(np.mean(signals, axis=0), sensor, exposure, seeded(2), signals)
+    corrected = correct(frame, sensor, Correction(dark_frames=4, defects=True), seeded(3))
+    places = [np.argwhere(pixels).tolist() for pixels in (frame.saturated, corrected.saturated)]
+    assert places == [[[10, 10], [10, 11], [30, 30]], [[10, 10], [10, 11]]]
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_raw_file_has_the_saturated_pixels_of_a_burst(suffix: str, tmp_path: Any) -> None:
+    """Of one exposure the numbers tell them, and no file states them; nor is another program's text of that name believed."""
+    physics = derive(Pixel(**SHEET | {"prnu": 0.0}))
+    sensor, rate = sample_sensor(physics, (70, 90), seeded(1)), seeded(9).uniform(0, 2 * COUNT * 8000 / TIME_S, (70, 90))
+    frame = capture_from_rates(rate, sensor, Exposure(integration_s=TIME_S, frames=COUNT), seeded(2))
+    assert frame.saturated is not None
+    assert 0.3 < frame.saturated.mean() < 0.7
+    write_frame(tmp_path / f"raw{suffix}", frame)
+    back = read_frame(tmp_path / f"raw{suffix}")
+    np.testing.assert_array_equal(back.saturated, frame.saturated)
+    write_frame(tmp_path / f"again{suffix}", back)
+    assert (tmp_path / f"again{suffix}").read_bytes() == (tmp_path / f"raw{suffix}").read_bytes()
+    write_frame(tmp_path / f"one{suffix}", capture_from_rates(rate, sensor, Exposure(integration_s=TIME_S), seeded(2)))
+    assert read_frame(tmp_path / f"one{suffix}").saturated is None
+
+
+def test_text_that_is_no_saturated_pixels_is_left_out() -> None:
+    for stated in ("yes", "AAAA", "eJw=", "", None, 3, [1]):
+        assert saturated_of({"saturated": stated}, (8, 9)) is None

@@ -12,6 +12,7 @@ from pixsim.base.errors import PixsimError
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.flicker import burst_modulation, clipped_light
 from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import capture, capture_from_rates, make_sensor
@@ -133,3 +134,17 @@ def test_settings_of_flicker() -> None:
     assert stage_words(Run(exposure=Exposure(flicker_hz=100.0, flicker_depth=0.4))) == ["light flickers at 100 Hz by 40 %"]
     for exposure in (Exposure(), Exposure(flicker_depth=0.4), Exposure(flicker_hz=100.0, flicker_depth=0.0)):
         assert exposure.steady is exposure
+
+
+@pytest.mark.parametrize(("limit", "modulation"), [(0.9, 0.6), (1.3, 0.6), (1.0, 1.0), (0.3, 0.6), (1.7, 0.6), (0.8, 0.0)])
+def test_clipped_light_is_the_mean_over_phases(limit: float, modulation: float) -> None:
+    mean = quad(lambda phase: min(1 + modulation * math.cos(phase), limit) / math.pi, 0, math.pi, limit=200)[0]
+    assert clipped_light(limit, modulation) == pytest.approx(mean, abs=1e-6)  # of the quadrature at the kink
+
+
+def test_exposures_of_a_burst_have_the_modulation_of_their_time() -> None:
+    """Over 2 ms a lamp of 100 Hz keeps sinc(0.2) of its depth; one exposure, and steady light, have none."""
+    exposure = Exposure(flicker_hz=HZ, flicker_depth=DEPTH, frames=4)
+    assert burst_modulation(exposure, 0.008) == pytest.approx(DEPTH * math.sin(0.2 * math.pi) / (0.2 * math.pi), rel=1e-12)
+    assert burst_modulation(exposure.model_copy(update={"frames": 1}), 0.008) == 0
+    assert burst_modulation(exposure.steady, 0.008) == 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import struct
+import warnings
 import zlib
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
+from PIL.TiffImagePlugin import AppendingTiffWriter, ImageFileDirectory_v2
 
 import pixsim
 from pixsim import cli
@@ -291,3 +293,126 @@ def test_other_tiffs_are_refused_by_their_cause(tmp_path: Path) -> None:
     tiff(tmp_path / "a.tif", np.zeros((4, 4, 1), "u1"), 32803)
     with pytest.raises(pixsim.PixsimError, match="samples of 8 bits"):
         pixsim.read_frame(tmp_path / "a.tif")
+
+
+CELL = [[256.0, 257.0], [258.0, 256.0]]
+MOSAIC: dict[str, tuple] = {"t33421": (3, [2, 2]), "t33422": (1, [0, 1, 1, 2])}
+BLACK: dict[str, tuple] = {"t50713": (3, [2, 2]), "t50714": (3, [256, 257, 258, 256])}
+
+
+def edge_codes(shape: tuple[int, int] = (160, 120)) -> np.ndarray:
+    """A slanted edge between 100 and 1000 codes of green above black, 0.6 of it in red and 0.8 in blue, RGGB, with CELL."""
+    rows, columns = np.mgrid[: shape[0], : shape[1]]
+    right = np.clip((columns - shape[1] / 2 + (rows - shape[0] / 2) * np.tan(np.radians(5))) / 1.2 + 0.5, 0, 1)
+    light = (100 + 900 * right) * np.tile([[0.6, 1.0], [1.0, 0.8]], (shape[0] // 2, shape[1] // 2))
+    noise = np.random.default_rng(1).standard_normal(shape) * np.sqrt(light) / 3
+    return np.rint(light + noise + np.tile(CELL, (shape[0] // 2, shape[1] // 2))).astype("<u2")
+
+
+@pytest.mark.parametrize("photometric", [1, 32803])
+def test_black_levels_of_each_place_of_the_cell_are_used(photometric: int, tmp_path: Path) -> None:
+    """The contrast of every channel is (1000 - 100)/(1000 + 100); with black left in, that of red is 0.46."""
+    tiff(tmp_path / "raw.tif", edge_codes()[..., None], photometric, **MOSAIC, **BLACK)
+    levels = pixsim.read_frame(tmp_path / "raw.tif").black_level_dn
+    np.testing.assert_array_equal(levels, np.tile(CELL, (80, 60)))
+    for channel in "RGB":
+        edge = pixsim.sfr(tmp_path / "raw.tif", channel=channel)
+        # Noise of 4 codes and less in 600 pixels of each side, and half a code: below 0.002 of the contrast.
+        assert edge.contrast == pytest.approx(900 / 1100, abs=0.004)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_black_levels_of_a_cell_are_written(suffix: str, tmp_path: Path) -> None:
+    levels = np.tile(CELL, (3, 2))[:5, :3]
+    write_frame(tmp_path / f"raw{suffix}", RawFrame(np.arange(300, 315).reshape(5, 3), black_level_dn=levels))
+    back = pixsim.read_frame(tmp_path / f"raw{suffix}")
+    np.testing.assert_array_equal(back.black_level_dn, levels)
+    assert "black_level_dn=256…258" in repr(back)
+    write_frame(tmp_path / f"again{suffix}", back)
+    assert (tmp_path / f"again{suffix}").read_bytes() == (tmp_path / f"raw{suffix}").read_bytes()
+
+
+def test_black_levels_without_a_cell_are_not_written(tmp_path: Path) -> None:
+    levels = np.random.default_rng(1).uniform(0, 9, (40, 40))
+    with pytest.raises(pixsim.PixsimError, match="another one for each pixel; allowed: cells of up to 16 × 16"):
+        write_frame(tmp_path / "raw.npz", RawFrame(np.full((40, 40), 9), black_level_dn=levels))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_tags_of_dng_are_obeyed(tmp_path: Path) -> None:
+    """Codes are linear by the table, then black is that of the cell, of columns and of rows, from the active area's corner on."""
+    values, table = np.arange(8 * 6).reshape(8, 6), (np.arange(40) ** 2).tolist()
+    area = {"t50829": (3, [1, 2, 7, 6]), "t50712": (3, table), "t50715": (3, [0, 1, 2, 3]), "t50716": (3, [0, 0, 5, 0, 0, 0])}
+    tiff(tmp_path / "raw.tif", values[..., None].astype("<u2"), 32803, **MOSAIC, **BLACK, **area)
+    with pytest.warns(UserWarning, match="active area in rows 1 to 6 and columns 2 to 5") as told:
+        back = pixsim.read_frame(tmp_path / "raw.tif")
+    assert len(told) == 1
+    np.testing.assert_array_equal(back.dn, np.minimum(values, 39)[1:7, 2:6] ** 2)
+    rows = np.array([0, 0, 5, 0, 0, 0])[:, None]
+    np.testing.assert_array_equal(back.black_level_dn, np.tile(CELL, (3, 2)) + np.arange(4) + rows)
+
+
+@pytest.mark.parametrize("tags", [{"t50714": (3, [1, 2, 3, 4])}, {"t50713": (3, [2, 3]), "t50714": (3, [1, 2, 3, 4])}])
+def test_black_levels_that_fit_no_cell_are_named(tags: dict[str, tuple], tmp_path: Path) -> None:
+    tiff(tmp_path / "raw.tif", np.full((8, 6, 1), 9, "<u2"), 1, **tags)
+    with pytest.warns(UserWarning, match="states 4 black levels from 1 to 4, which fit no cell"):
+        assert pixsim.read_frame(tmp_path / "raw.tif").black_level_dn is None
+
+
+def test_values_that_fall_with_the_light_are_refused(tmp_path: Path) -> None:
+    tiff(tmp_path / "raw.tif", np.full((8, 6, 1), 9, "<u2"), 0)
+    with pytest.raises(pixsim.PixsimError, match="WhiteIsZero"):
+        pixsim.read_frame(tmp_path / "raw.tif")
+
+
+def test_transfer_function_of_a_tiff_is_an_encoding(tmp_path: Path) -> None:
+    level = np.linspace(0, 1, 256)
+    for gamma, encoding in ((1.0, None), (2.2, "TransferFunction")):
+        curve = np.rint(65535 * level**gamma).astype(int).tolist()
+        tiff(tmp_path / "picture.tif", np.full((8, 6, 1), 9, "<u2"), 1, t301=(3, curve))
+        assert read_picture(tmp_path / "picture.tif", "picture", SUFFIXES)[1].get(ENCODING) == encoding
+
+
+PAGES = [Image.fromarray(np.full((8, 6), 100 + number, np.uint16)) for number in range(3)]
+
+
+@pytest.mark.parametrize("options", [{}, {"big_tiff": True}, {"compression": "tiff_adobe_deflate"}])
+def test_pages_of_a_tiff_are_named(options: dict[str, object], tmp_path: Path) -> None:
+    PAGES[0].save(tmp_path / "stack.tif", save_all=True, append_images=PAGES[1:], **options)
+    with pytest.warns(UserWarning, match=r"stack\.tif' has 3 pages: the first is read"):
+        assert (pixsim.read_frame(tmp_path / "stack.tif").dn == 100).all()
+
+
+def test_pages_of_a_mosaic_and_of_a_png_are_named(tmp_path: Path) -> None:
+    """Of a mosaic, which Pillow does not open, the second directory is a copy of the first one."""
+    tiff(tmp_path / "raw.tif", np.full((8, 6, 1), 9, "<u2"), 32803)
+    whole = bytearray((tmp_path / "raw.tif").read_bytes())
+    (first,) = struct.unpack_from("<I", whole, 4)
+    (entries,) = struct.unpack_from("<H", whole, first)
+    directory = bytes(whole[first : first + 2 + 12 * entries])
+    struct.pack_into("<I", whole, first + len(directory), len(whole))
+    (tmp_path / "raw.tif").write_bytes(bytes(whole) + directory + bytes(4))
+    with pytest.warns(UserWarning, match="has 2 pages"):
+        pixsim.read_frame(tmp_path / "raw.tif")
+    PAGES[0].save(tmp_path / "moving.png", save_all=True, append_images=PAGES[1:])
+    with pytest.warns(UserWarning, match="has 3 pages"):
+        pixsim.read_frame(tmp_path / "moving.png")
+
+
+def test_thumbnail_and_loop_of_directories_are_no_pages(tmp_path: Path) -> None:
+    tags = ImageFileDirectory_v2()
+    tags[254] = 1  # NewSubfileType: a reduced image
+    path = tmp_path / "raw.tif"
+    with AppendingTiffWriter(str(path), True) as file:
+        PAGES[0].save(file, "TIFF")
+        file.newFrame()
+        PAGES[1].save(file, "TIFF", tiffinfo=tags)
+    with warnings.catch_warnings(action="error"):
+        pixsim.read_frame(path)
+    tiff(path, np.full((8, 6, 1), 9, "<u2"), 1)
+    whole = bytearray(path.read_bytes())
+    (first,) = struct.unpack_from("<I", whole, 4)
+    struct.pack_into("<I", whole, first + 2 + 12 * struct.unpack_from("<H", whole, first)[0], first)
+    path.write_bytes(bytes(whole))
+    with warnings.catch_warnings(action="error"):
+        pixsim.read_frame(path)

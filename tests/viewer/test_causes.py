@@ -24,6 +24,7 @@ from pixsim.report.study import study_document
 from pixsim.scene.plan import make_plan
 from pixsim.scene.scene import load_scene
 from pixsim.sensor.outside import OUTSIDE, outside_header, outside_share
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.show.render import text
@@ -310,3 +311,16 @@ def test_comparison_names_the_cause_in_its_headline(tmp_path: Path) -> None:
     assert f"; coarse: {cause.words}" in result._repr_html_()
     assert f"coarse: {cause}" in result.notes
     assert result.as_dict()["sensors"]["coarse"]["causes"] == [cause.as_dict()]
+
+
+def test_full_exposures_of_a_burst_are_named_though_their_sum_is_not_full() -> None:
+    """White of exactly all wells: of light of modulation m = 0.6 sinc(0.05) each phase above the mean is lost, m/π of it."""
+    lamp = Exposure(frames=8, flicker_hz=100.0, flicker_depth=0.6)
+    physics = FLAT.burst(8)
+    white_e = physics.saturation_e - 0.004 * physics.dark_current_e_per_s
+    (cause,) = causes_of({}, Display(), physics, white_e, 0.004, (0.0, 100.0), 0.5, lamp)
+    left = 1 - 0.6 * np.sinc(0.05) / np.pi
+    assert cause.words == "50% of the pixels are saturated"
+    assert cause.delta_e == pytest.approx(100 - (116 * left ** (1 / 3) - 16), abs=1e-9)
+    for exposure, less in ((lamp.steady, 1.0), (lamp, 1.6)):
+        assert causes_of({}, Display(), physics, white_e / less, 0.004, (0.0, 100.0), 0.5, exposure) == ()

@@ -410,3 +410,53 @@ def test_noise_aware_matrix_of_much_light_is_the_second_one() -> None:
     aware, least = (replace(chain, develop=Develop(matrix=method)).matrix for method in ("noise_aware", "least_delta_e"))
     assert min(chain.whites_e_per_s) * 2e3 > 1e9
     assert aware == pytest.approx(least, abs=1e-3)
+
+
+
+FLICKER = Exposure(integration_s=TIME_S, frames=8, flicker_hz=100.0, flicker_depth=0.6, flicker_phase_deg=0.0)
+
+
+def grey_burst(fullest: float, exposure: Exposure = FLICKER) -> tuple[ImagingChain, Frame]:
+    """Return a burst of a grey field whose green fills a share of all wells, red and blue half of it; its noise is that of light."""
+    curves = {letter: [(nm, value / (1 if letter == "G" else 2)) for nm, value in LUTHER[letter]] for letter in "RGB"}
+    pixel, image = sensor({"quantum_efficiencies": curves}), patch(18, "D65")
+    chain = make_imaging_chain(image, CAMERA, pixel, exposure, DISPLAY)
+    physics = replace(chain.physics, full_well_e=chain.signal_e_per_s.max() * TIME_S / exposure.frames / fullest)
+    chain = replace(chain, physics=physics)
+    return chain, chain.capture("grey burst")
+
+
+def chroma(light: np.ndarray) -> float:
+    """Return the C*ab of the mean of the light of the display's primaries, (3, H, W)."""
+    lab = xyz_to_lab(rgb_to_xyz(np.moveaxis(light, 0, -1)), WHITE_XYZ)
+    return float(np.hypot(*lab.reshape(-1, 3).mean(axis=0)[1:]))
+
+
+def test_burst_that_is_saturated_in_part_is_neutral() -> None:
+    """Green fills some exposures, and the sum of all is not full: what is interpolated from it is as bright as blue or red."""
+    chain, frame = grey_burst(0.9)
+    assert frame.saturated is not None
+    assert frame.layout is not None
+    np.testing.assert_array_equal(frame.saturated, frame.layout.numbers(frame.dn.shape) == frame.layout.channels.index("G"))
+    assert frame.electrons.max() < 0.99 * chain.physics.saturation_e
+    light = chain.light(frame)
+    assert np.ptp(light, axis=0).max() < 1e-6 * light.max()
+    # Red and blue are not full: the field keeps its luminance, within the shot noise of the brighter of two channels.
+    expected = chain.light(noiseless(chain)).mean()
+    assert light.mean() == pytest.approx(expected, rel=0.02)
+    # The sums alone tell a colour.
+    assert chroma(chain.light(replace(frame, saturated=None))) > 10
+
+
+def test_colour_of_a_burst_below_its_wells_is_that_of_its_sums() -> None:
+    chain, frame = grey_burst(0.5)
+    assert frame.saturated is not None
+    assert not frame.saturated.any()
+    np.testing.assert_array_equal(chain.light(frame), chain.light(replace(frame, saturated=None)))
+
+
+def test_one_exposure_is_judged_by_its_electrons() -> None:
+    chain, frame = grey_burst(0.99, Exposure(integration_s=TIME_S))
+    assert frame.saturated is not None
+    assert frame.saturated.any()
+    np.testing.assert_array_equal(chain.light(frame), chain.light(replace(frame, saturated=None)))
