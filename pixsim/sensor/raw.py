@@ -154,7 +154,8 @@ def _as_text(facts: dict[str, Any]) -> dict[str, Any]:
     """Return the metadata of a frame with the saturated pixels as a text."""
     if SATURATED not in facts:
         return facts
-    return facts | {SATURATED: binascii.b2a_base64(zlib.compress(np.packbits(facts[SATURATED])), newline=False).decode()}
+    packed = zlib.compress(np.packbits(facts[SATURATED]).tobytes())
+    return facts | {SATURATED: binascii.b2a_base64(packed, newline=False).decode("ascii")}
 
 
 @checks_arguments
@@ -269,8 +270,8 @@ def read_frame(path: str | os.PathLike[str]) -> RawFrame:
     facts: dict[str, Any] = {name: round(value) if name == "bits" else value for name, value in numbers.items()}
     if (levels := black_levels_of(metadata, dn.shape)) is not None:
         facts[BLACK_LEVEL] = levels
-    more = {"layout": layout_of(metadata, dn.shape), "saturated": saturated_of(metadata, dn.shape)}
-    return RawFrame(dn.astype(np.min_scalar_type(int(dn.max()))), **facts, **more)
+    layout, saturated = layout_of(metadata, dn.shape), saturated_of(metadata, dn.shape)
+    return RawFrame(dn.astype(np.min_scalar_type(int(dn.max()))), **facts, layout=layout, saturated=saturated)
 
 
 def layout_of(metadata: dict[str, Any], shape: tuple[int, ...]) -> Layout | None:
@@ -294,7 +295,8 @@ def black_levels_of(metadata: dict[str, Any], shape: tuple[int, ...]) -> Array |
 
 def saturated_of(metadata: dict[str, Any], shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
     """Return the saturated pixels, (rows, columns), that a file states; None if they are absent or not of this frame."""
-    stated, size = metadata.get(SATURATED), math.prod(shape)
+    stated: Any = metadata.get(SATURATED)
+    size = math.prod(shape)
     if isinstance(stated, np.ndarray):
         return stated if stated.shape == shape and stated.dtype == bool else None
     with suppress(TypeError, ValueError, zlib.error):  # a text of another program under the same name

@@ -125,8 +125,9 @@ def _npwe(judged: Judged) -> tuple[float, float]:
 def _expected_frame(frame: Frame, electrons: Array, time_s: float, registration: Registration) -> Frame:
     """Return a frame with expected electrons (rows, columns) in place of its own."""
     dn, corrected_e = np.zeros(electrons.shape, np.int32), electrons.astype(np.float32)
-    expected = {"dn": dn, "mean_e": electrons, "corrected_e": corrected_e, "saturated": None}
-    return replace(frame, **expected, integration_s=time_s, registration=registration)
+    return replace(
+        frame, dn=dn, mean_e=electrons, corrected_e=corrected_e, saturated=None, integration_s=time_s, registration=registration
+    )
 
 
 def _needs_target_in_grey(asked: MetricContext) -> str:

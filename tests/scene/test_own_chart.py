@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import os
 import struct
+import warnings
 import zlib
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers.commands import assert_refused, command
+from helpers.tiff import tiff
 from PIL import Image
 
 import pixsim
@@ -74,6 +76,21 @@ def test_read_luminance_every_format(kind: str, tmp_path: Path) -> None:
     path, expected, linear, error = written(kind, tmp_path)
     assert read_luminance(path) == pytest.approx(expected, rel=1e-6, abs=error + 1e-9)
     assert read_luminance(path, linear=True) == pytest.approx(linear, rel=1e-6, abs=error + 1e-9)
+
+
+def test_what_is_lost_of_a_picture_is_said(tmp_path: Path) -> None:
+    """Pillow reads colours of 16 bits with 8, and of several pages the first; a preview in a JPEG is no page."""
+    tiff(tmp_path / "deep.tif", RGB.astype("<u2"), 2)
+    with pytest.warns(UserWarning, match="is read with 8 of its 16 bits"):
+        read_luminance(tmp_path / "deep.tif")
+    pages = [Image.fromarray((plane >> 8).astype(np.uint8)) for plane in np.moveaxis(RGB, 2, 0)]
+    for name in ("stack.tif", "stack.png"):
+        pages[0].save(tmp_path / name, save_all=True, append_images=pages[1:])
+        with pytest.warns(UserWarning, match="has 3 pages: the first is read"):
+            read_luminance(tmp_path / name)
+    pages[0].save(tmp_path / "phone.jpg", format="MPO", save_all=True, append_images=pages[1:])
+    with warnings.catch_warnings(action="error"):
+        read_luminance(tmp_path / "phone.jpg")
 
 
 def test_read_luminance_jpeg_even_grey_and_turned(tmp_path: Path) -> None:

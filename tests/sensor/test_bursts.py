@@ -181,7 +181,7 @@ QUAD = {"pattern": "quad_rggb", "binning": True, "sensitivities": "Nikon_D5100",
 
 @pytest.mark.parametrize("more", [{}, {"colour": QUAD}], ids=["pixels", "binned"])
 def test_saturated_pixels_are_those_full_in_any_exposure(more: dict[str, Any]) -> None:
-    """Row k is 40 standard deviations above the well in exposure k alone, the other rows never; the sum is below half of all wells."""
+    """Row k is 40 standard deviations above the well in exposure k alone, others never; the sum is below half of all wells."""
     sheet = {"technology": "4t-bsi", "pitch_um": 2.0, "bits": 14, "prnu": 0.0, "dark_current_e_per_s": 0.0} | more
     physics = derive(Pixel.model_validate(sheet)).as_read
     well_e, rows = physics.full_well_e, COUNT + 2

@@ -23,8 +23,8 @@ from pixsim.report.run import run_document
 from pixsim.report.study import study_document
 from pixsim.scene.plan import make_plan
 from pixsim.scene.scene import load_scene
-from pixsim.sensor.outside import OUTSIDE, outside_header, outside_share
 from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.outside import OUTSIDE, outside_header, outside_share
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.show.render import text

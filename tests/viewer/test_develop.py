@@ -412,12 +412,11 @@ def test_noise_aware_matrix_of_much_light_is_the_second_one() -> None:
     assert aware == pytest.approx(least, abs=1e-3)
 
 
-
 FLICKER = Exposure(integration_s=TIME_S, frames=8, flicker_hz=100.0, flicker_depth=0.6, flicker_phase_deg=0.0)
 
 
 def grey_burst(fullest: float, exposure: Exposure = FLICKER) -> tuple[ImagingChain, Frame]:
-    """Return a burst of a grey field whose green fills a share of all wells, red and blue half of it; its noise is that of light."""
+    """Return a burst of a grey field whose green fills a share of all wells, red and blue half of it, with shot noise alone."""
     curves = {letter: [(nm, value / (1 if letter == "G" else 2)) for nm, value in LUTHER[letter]] for letter in "RGB"}
     pixel, image = sensor({"quantum_efficiencies": curves}), patch(18, "D65")
     chain = make_imaging_chain(image, CAMERA, pixel, exposure, DISPLAY)
