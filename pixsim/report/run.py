@@ -196,7 +196,8 @@ def several_facts(result: RunResult) -> Iterator[Fact]:
     yield from map(Fact, judged_lines(result)[leads_other(result) :])
     if repeats > 1 and result.interval_delta_e is not None:
         each = span(result.delta_e.min(), result.delta_e.max(), ".4f")
-        words = f"{repeats} sensors: ΔE of {each}, 95 % interval of their mean {span(*result.interval_delta_e, '.4f')}"
+        where = "" if result.is_spread else " of this registration"
+        words = f"{repeats} sensors: ΔE of {each}, 95 % interval of their mean{where} {span(*result.interval_delta_e, '.4f')}"
         yield Fact(f"{words}; pictures and frames are of the first")
     if frames > 1:
         between = {2: "", 3: f", {raw_stem(2)}.exr"}.get(frames, f", {raw_stem(2)}.exr, …")

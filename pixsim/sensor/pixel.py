@@ -38,16 +38,7 @@ from pixsim.sensor.mismatch import (
     prnu_of_area,
 )
 from pixsim.sensor.noise import constant_e, variance_e2
-from pixsim.sensor.pixel_options import (
-    ABSOLUTE_ZERO_C,
-    CENTRED_BORDER,
-    DATA_SHEET,
-    NO_TECHNOLOGY,
-    REGISTERED_BORDER,
-    STANDS_FOR,
-    Pixel,
-    PixelOptions,
-)
+from pixsim.sensor.pixel_options import ABSOLUTE_ZERO_C, BORDER_PIXELS, DATA_SHEET, NO_TECHNOLOGY, STANDS_FOR, Pixel, PixelOptions
 from pixsim.sensor.quantities import MAX_CODE_BITS, WELL_RANGE_E, AbsorbedWavelength, AbsorptionDepth, GainDb, HotMedian, HotSpread
 from pixsim.sensor.saturation import full_well_for_e, saturation_capacity_e
 from pixsim.sensor.stack_options import StackOptions, stack_excluded_by
@@ -398,7 +389,7 @@ SOBOL_BITS = 32
 
 
 def spread_registration(repeat: int) -> tuple[float, float]:
-    """Return the registration (x, y) of a repeat of a study or a comparison, 0 to 1, the same for all pixel sizes.
+    """Return the registration (x, y) of a repeat, 0 to 1, the same for all pixel sizes.
 
     Which detail falls on which part of a pixel is chance. With one registration for all repeats, the mean ΔE would follow the beat
     of pixels and dots. The first two dimensions of the sequence of Sobol' are spread evenly for every number of repeats: each half,
@@ -547,19 +538,22 @@ class PixelPhysics:
     @property
     def border_um(self) -> float:
         """Width on each side of the die that is not scored on a display of fixed size."""
-        return (CENTRED_BORDER if self.is_centred else REGISTERED_BORDER) * self.read_pitch_um
+        return BORDER_PIXELS * self.read_pitch_um
 
     @checks_arguments
-    def registered(self, repeat: Whole) -> PixelPhysics:
-        """Return the pixel of one repeat of a study or a comparison: with a registration of its own (`spread_registration`).
+    def registered(self, repeat: Whole, first: tuple[float, float] = (0.0, 0.0)) -> PixelPhysics:
+        """Return the pixel of one repeat: with a registration of its own (`spread_registration`).
 
         One that the pixel states stays.
 
         repeat : its number, from 0
+        first : registration (x, y) of repeat 0; all others are shifted with it
         """
         if not self.is_centred:
             return self
-        return replace(self, pixel=self.pixel.model_copy(update={"registration": spread_registration(repeat)}))
+        x, y = spread_registration(repeat)
+        registration = (x + first[0]) % 1.0, (y + first[1]) % 1.0
+        return replace(self, pixel=self.pixel.model_copy(update={"registration": registration}))
 
     @property
     def as_read(self) -> PixelPhysics:

@@ -325,9 +325,9 @@ STANDS_FOR = {word: fields for word, fields in STANDS_FOR.items() if fields}
 
 
 PartOfPixel = Annotated[float, Field(ge=0, lt=1)]
-# Widths in pixels, on each side of the die, that are not scored on a display of fixed size. Beside a centred array half a pixel at
-# most is uncovered, beside another one a pixel; half of the outermost pixel is interpolated as a constant.
-CENTRED_BORDER, REGISTERED_BORDER = 1.0, 1.5
+# Width in pixels, on each side of the die, that is not scored on a display of fixed size: up to one pixel is uncovered at a
+# registration, and half of the outermost pixel is interpolated as a constant.
+BORDER_PIXELS = 1.5
 
 
 class Pixel(PixelOptions):

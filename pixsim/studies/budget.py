@@ -47,6 +47,7 @@ from pixsim.scene.rules import Chart
 from pixsim.scene.scene import Scene
 from pixsim.sensor.motion_options import STILL
 from pixsim.sensor.pixel import largest_pitch_um, pitch_for_fill_factor_um
+from pixsim.sensor.pixel_options import BORDER_PIXELS
 from pixsim.sensor.technology import Technology, load_technology, with_fill_factor_law
 from pixsim.studies.cases import Case, Job, Settings
 from pixsim.studies.film_error import (
@@ -83,8 +84,8 @@ MIN_PIXELS, MAX_PIXELS = 16, 1024  # across the die, for the largest and the sma
 class ProbeDesign:
     """The points at which a light is probed while render settings change: pixels of some sizes, and the same sensors every time.
 
-    imaging : of the pixel; where it has a border, as in a study, each sensor has its registration. Else they are centred, and
-        the border is that of the largest pitch tried
+    imaging : of the pixel; where it has a border, as in a study and a run, each sensor has its registration. Else they are
+        centred, and the border is that of the largest pitch tried
     pitches_um : at which the optimum is searched; empty for no search
     sensors : number of sensors, the same ones at a pitch every time
     at_optimum : whether the pixel takes the pitch of the optimum in place of its own
@@ -231,15 +232,17 @@ def chains_of(image: SpectralImage, design: ProbeDesign, pitches_um: Sequence[fl
     imaging = replace(design.imaging, motion=STILL, exposure=design.imaging.exposure.steady)
     channels, pixel_um = len(imaging.physics.channels), imaging.pixel.pitch_um
     scenes = SceneCache(image, imaging.camera, imaging.display, channels, develop=imaging.develop)
-    widest_um = imaging.border_um or max(pitches_um, default=pixel_um)
+    widest_um = imaging.border_um or BORDER_PIXELS * max(pitches_um, default=pixel_um)
     centred = replace(imaging, border_um=None)  # where dots are pixels, each has a frame of its own
 
     @lru_cache(maxsize=1)  # centred sensors share it
     def registered(pitch_um: float, repeat: int | None) -> ImagingChain:
         at_pitch = centred.at(pitch_um)
-        physics = at_pitch.physics if repeat is None else at_pitch.registered(repeat)
-        border_um = pixel_um if pitch_um == pixel_um and not design.at_optimum else widest_um
-        return at_pitch.chain(scenes.get(border_um, physics, border_um), physics)
+        is_pixel = pitch_um == pixel_um and not design.at_optimum
+        border_um = at_pitch.physics.as_read.border_um if is_pixel else widest_um
+        light = scenes.get(border_um, at_pitch.physics, border_um)
+        physics = at_pitch.physics if repeat is None else at_pitch.registered(repeat, light)
+        return at_pitch.chain(light, physics)
 
     return lambda pitch_um, sensor: registered(pitch_um, None if imaging.border_um is None else sensor)
 
@@ -637,7 +640,9 @@ def settle(case: Case[Settings]) -> Case[Settings]:
         design = ProbeDesign(imaging_of(settings, camera, first, largest_pixel_um(settings, first)), settings.seed, at_optimum=True)
     else:
         assert isinstance(settings, Run)
-        design = ProbeDesign(Imaging.of(settings, camera), settings.seed)
+        imaging = replace(Imaging.of(settings, camera), is_run=True)
+        imaging = replace(imaging, border_um=imaging.physics.as_read.border_um)
+        design = ProbeDesign(imaging, settings.seed)
     calibration = calibrate(scene, camera, make_render_plan(scene, camera, design.imaging.pixel), design)
     free = scene.resolution is None
     least = calibration.width if "resolution" in scene.parameters else 0

@@ -25,7 +25,7 @@ from pixsim.base.progress import Progress, Stage, no_stage
 from pixsim.scene.plan import Plan
 from pixsim.sensor.infrared import warn_of_light
 from pixsim.sensor.pixel import derive, implausible_numbers, sheet_disagreements
-from pixsim.sensor.pixel_options import REGISTERED_BORDER
+from pixsim.sensor.pixel_options import BORDER_PIXELS
 from pixsim.studies.averages import Averaged, Compared, Observed
 from pixsim.studies.budget import without_warnings
 from pixsim.studies.cases import Case, named
@@ -317,7 +317,7 @@ def observed_of(lit: Lit, rows: Sequence[Sequence[Row]]) -> Observed:
         time_s = score.frame.integration_s
         with without_warnings():  # the result itself warns
             of_run = Imaging.of(sensor.settings, sensor.camera)
-            steps = kept_steps(light.image, of_run, plan.chart, lineup.border_um(sensor.camera) / REGISTERED_BORDER)
+            steps = kept_steps(light.image, of_run, plan.chart, lineup.border_um(sensor.camera) / BORDER_PIXELS)
         compared = Compared(
             sensor,
             light.image,

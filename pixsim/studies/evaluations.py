@@ -177,7 +177,7 @@ def kept_sensor(chain: ImagingChain, *key: object) -> Sensor:
 
 def chain_of(task: Task, light: SharedLight, repeat: int) -> ImagingChain:
     """Return the imaging chain of a repeat, with its registration; that of the last one, if it is the same."""
-    physics = task.imaging.registered(repeat)
+    physics = task.imaging.registered(repeat, light)
     key = task.light_key, physics.pitch_um, physics.registration
     if getattr(_recent, "key", None) != key:
         _recent.chain, _recent.key = task.imaging.chain(light, physics), key
@@ -253,7 +253,7 @@ def shown_chain(task: Task, light: SharedLight, repeat: int, known: cache.Arrays
     """
     if not isinstance(light, PreparedScene) or task.imaging.develop.denoise == "wiener_bound":  # which knows the light
         return None
-    imaging, physics = task.imaging, task.imaging.registered(repeat)
+    imaging, physics = task.imaging, task.imaging.registered(repeat, light)
     rows, columns = pixels_on(light.array_um, physics.as_read.read_pitch_um, physics.registration)
     whole = rows * physics.planes, columns
     found = kept_frame(known, repeat, whole, imaging)

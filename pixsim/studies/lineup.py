@@ -27,7 +27,7 @@ from pixsim.sensor.integration import check_pixel_count, pixels_on
 from pixsim.sensor.labels import file_label, labels_of
 from pixsim.sensor.motion import border_with_room_um
 from pixsim.sensor.pixel import derive
-from pixsim.sensor.pixel_options import NO_TECHNOLOGY, REGISTERED_BORDER
+from pixsim.sensor.pixel_options import NO_TECHNOLOGY, BORDER_PIXELS
 from pixsim.sensor.spread import sheet_uncertainty
 from pixsim.sensor.technology import check_name
 from pixsim.studies.budget import without_warnings
@@ -443,7 +443,7 @@ def lineup_of(stated: Stated, common: Lineup | None, match: Match, sensor: str |
     border = 0.0
     for each in found:
         pixel, exposure = each.settings.pixel, each.settings.exposure
-        border_um = REGISTERED_BORDER * pixel.pitch_um * pixel.bin_side
+        border_um = BORDER_PIXELS * pixel.pitch_um * pixel.bin_side
         border_um = border_with_room_um(border_um, settings.motion, exposure, each.camera, [(pixel.pitch_um, pixel.bin_side)])
         border = max(border, border_um / each.camera.die_um[1])
     given = settings.scene.get(MAX_LP_PER_MM, loaded.parameters.get(MAX_LP_PER_MM))

@@ -28,6 +28,7 @@ from pixsim.studies.film_error import FilmSampling, film_error
 from pixsim.studies.keys import evaluated_before, light_hash
 from pixsim.studies.lights import demand_of
 from pixsim.studies.sampling import study_pitches_um
+from pixsim.studies.run import NOISE_SENSORS
 from pixsim.studies.sensor_types import drawn_metrics
 
 if TYPE_CHECKING:
@@ -51,7 +52,8 @@ def planned_run(prepared: RunJob) -> dict[str, Any]:
             more_s = COLOUR_S * (settings.pixel.colour is not None) + STACK_S * (settings.pixel.stack is not None)
             cost = replace(cost, seconds=cost.seconds + more_s)
     frame = frame_cost(camera, pitch_um, settings.display)
-    cost = Cost(cost.seconds + RUN_PAGE_S + (repeats + frames) * frame.seconds, cost.memory_bytes + frame.memory_bytes, 1)
+    evaluations = repeats + frames + (NOISE_SENSORS - 1) * (repeats > 1)
+    cost = Cost(cost.seconds + RUN_PAGE_S + evaluations * frame.seconds, cost.memory_bytes + frame.memory_bytes, 1)
     sensors = planned_sensors(settings.pixel.technology, [pitch_um], repeats, camera)
     return planned | ({"frames": frames} if frames > 1 else {}) | {"sensors": [sensors], "estimate": asdict(cost)}
 

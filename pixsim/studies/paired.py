@@ -1,4 +1,4 @@
-"""The statistics of paired frames: the mean of their differences, its interval, and how probably it is above 0."""
+"""The statistics of frames: the mean of values or of paired differences, its interval, and how probably it is above 0."""
 
 from __future__ import annotations
 
@@ -26,6 +26,37 @@ def mean_interval(values: Array) -> tuple[float, float, float]:
     """
     mean, error = _mean_and_error(values)
     half = float(stdtrit(values.size - 1, (1 + CONFIDENCE) / 2)) * error
+    return mean - half, mean, mean + half
+
+
+@checks_arguments
+def spread_interval(values: Array, at_first: Array) -> tuple[float, float, float]:
+    """Return the lower end, the mean and the upper end of the 95 % interval of an expected value over all registrations.
+
+    values : (n,), n > 1, of sensors whose registrations are spread evenly (`spread_registration`), in their order
+    at_first : (m,), m > 1, of further sensors at one registration
+
+    The registrations' part of the scatter is no measure of the error of the mean, since evenly spread points integrate it: it
+    would make intervals up to eleven times too long (tests/benchmarks/repeats_interval.py). So the interval has two parts. The noise of the sensors is that
+    of Student's t, from the scatter at one registration. The error of evenly spread points falls as 1/n or faster (H. Niederreiter,
+    Random Number Generation and Quasi-Monte Carlo Methods, 1992, chapter 3). So it is at most the step of the mean from half of
+    them to all; a larger step from a quarter to a half counts half, and so on.
+
+    >>> spread_interval(np.array([1.0, 2.0, 2.0, 1.0]), np.array([1.0, 1.0]))  # the mean of one, two and four: 1, 1.5, 1.5
+    (1.25, 1.5, 1.75)
+    """
+    mean = float(values.mean())
+    low, _, high = mean_interval(at_first)
+    noise_half = (high - low) / 2 * math.sqrt(at_first.size / values.size)
+
+    registration_half, count = 0.0, values.size
+    while count > 1:
+        fewer = math.ceil(count / 2)
+        step = abs(float(values[:count].mean() - values[:fewer].mean()))
+        registration_half = max(registration_half, step * count / values.size)
+        count = fewer
+
+    half = noise_half + registration_half
     return mean - half, mean, mean + half
 
 

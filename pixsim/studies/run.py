@@ -38,7 +38,7 @@ from pixsim.studies.budget import with_tolerance
 from pixsim.studies.cases import Case, Job
 from pixsim.studies.lights import demand_of
 from pixsim.studies.oversampling import Demand, Light, rendered_light
-from pixsim.studies.paired import mean_interval
+from pixsim.studies.paired import mean_interval, spread_interval
 from pixsim.studies.preparation import check_metrics, choose_view, is_picture, loaded_scene, scene_with_view, with_view
 from pixsim.studies.sentences import run_answers
 from pixsim.studies.series import judging_of
@@ -75,6 +75,7 @@ if TYPE_CHECKING:
 
 MAX_FRAMES = 999  # the numbers in the names of their files have three digits
 MAX_REPEATS = 10_000
+NOISE_SENSORS = 4  # at the first sensor's registration, whose scatter is that of the noise
 BEFORE_FRAME = 0.8  # of the work of "sense and score"
 LIGHT_FILE = "light.exr"  # of light that was in memory, once it is written
 
@@ -232,12 +233,14 @@ class RunResult(LitRun):
     chain : from the light to frames and scores of further sensors of the kind
     score : of the first frame of the first sensor, with its pictures
     statistics : `Score.statistics` of the first frame of each sensor
+    statistics_at_first : the same of `NOISE_SENSORS` sensors at the first one's registration; empty if all sensors have it
     threshold : where the target is just seen, if the settings ask for it
     """
 
     chain: ImagingChain = field(repr=False)
     score: FrameScore = field(repr=False)
     statistics: tuple[dict[str, float], ...] = field(repr=False)
+    statistics_at_first: tuple[dict[str, float], ...] = field(default=(), repr=False)
     threshold: Threshold | None = field(default=None, repr=False)
 
     @property
@@ -262,13 +265,31 @@ class RunResult(LitRun):
 
     @property
     def interval_delta_e(self) -> tuple[float, float] | None:
-        """95 % interval of the expected mean ΔE of such sensors, by Student's t; None of one sensor.
+        """95 % interval of the expected mean ΔE of such sensors; None of one sensor.
 
         The errors of the light are not in it: all sensors see the same light.
         """
-        if len(self.statistics) == 1:
+        return self.interval(self.delta_e, "mean_delta_e")
+
+    @property
+    def is_spread(self) -> bool:
+        """Whether the sensors' registrations are spread, so that intervals hold for all registrations and not for one."""
+        return bool(self.statistics_at_first)
+
+    def interval(self, values: Array, column: str) -> tuple[float, float] | None:
+        """Return the 95 % interval of the expectation of a number of the sensors; None of one sensor.
+
+        It is that of `spread_interval`, and by Student's t where all sensors have one registration.
+
+        values : (sensors,)
+        column : its name among `statistics`
+        """
+        if values.size == 1:
             return None
-        return mean_interval(self.delta_e)[::2]
+        if not self.is_spread:
+            return mean_interval(values)[::2]
+        at_first = np.array([row[column] for row in self.statistics_at_first])
+        return spread_interval(values, at_first)[::2]
 
     @property
     def judged(self) -> dict[str, Array]:
@@ -466,7 +487,8 @@ def run(
     config : one or more TOML files with a sensor, its camera, exposure and display; later ones take precedence
     parameters : of the scene, each in its unit
     pixel : fields of the pixel (`PixelOptions`), each in its unit, which override those of the files
-    repeats : number of sensors of the kind; of several, the result has `interval_delta_e`. Pictures are those of the first
+    repeats : number of sensors of the kind, each at another registration with the picture; of several, the result has
+        `interval_delta_e`. Pictures are those of the first, which is centred
     frames : number of frames of the first sensor, for the result's `further_frames`; the first is scored
     full : leave out no effect, whatever the plan says of its size
     sensor : id of the scene's sensor, if it has several
@@ -535,11 +557,21 @@ def score_run(lit: LitRun, stage: Stage, prepare: Callable[..., PreparedScene] |
         scored(BEFORE_FRAME)
         lacking: dict[str, str] = {}
         score = judged_score(chain, judging, ("evaluate", settings.seed), lacking)
-        statistics = [score.statistics()]
+        statistics, at_first = [score.statistics()], [score.statistics()]
         sensors = max(prepared.repeats, settled.choice.sensors if settled else 1)
+        imaging = replace(Imaging.of(settings, prepared.camera), is_run=True)
+        assert chain.made_from is not None
+        light, _ = chain.made_from
+        is_spread = sensors > 1 and imaging.registered(1, light) != imaging.physics
+
         for number in range(1, sensors):
-            statistics.append(judged_score(chain, judging, ("evaluate", settings.seed, number), lacking).statistics())
+            registered = imaging.chain(light, imaging.registered(number, light)) if is_spread else chain
+            statistics.append(judged_score(registered, judging, ("evaluate", settings.seed, number), lacking).statistics())
             scored(BEFORE_FRAME + (1 - BEFORE_FRAME) * number / sensors)
+        if is_spread:
+            for number in range(1, NOISE_SENSORS):
+                key = "evaluate", settings.seed, "at the first registration", number
+                at_first.append(judged_score(chain, judging, key, lacking).statistics())
         for reason in lacking.values():
             warn(reason)
     warned = tuple(dict.fromkeys([*lit.warned, *notes]))
@@ -548,5 +580,12 @@ def score_run(lit: LitRun, stage: Stage, prepare: Callable[..., PreparedScene] |
     if lit.rendered is not None and start_of(settings, prepared.cases[0].scene) is not None:
         of_target = prepared.demand, lit.rendered, statistics[0]["detectability"]
         threshold = threshold_of(prepared, *of_target, stage("look for the threshold"))
-    result = RunResult(*of_run, chain=chain, score=score, statistics=tuple(statistics), threshold=threshold)
+    result = RunResult(
+        *of_run,
+        chain=chain,
+        score=score,
+        statistics=tuple(statistics),
+        statistics_at_first=tuple(at_first) if is_spread else (),
+        threshold=threshold,
+    )
     return replace(result, score=replace(score, light=result.light))

@@ -21,7 +21,6 @@ from pixsim.show.sentences import few, interval, span, with_ends, with_error
 from pixsim.studies.agreement import agreement_words, value_words
 from pixsim.studies.extent import columns_on, moved_view, stated_end_lp_per_mm
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
-from pixsim.studies.paired import mean_interval
 from pixsim.viewer.causes import SATURATED_SHOWN
 from pixsim.viewer.develop_options import developed_words
 from pixsim.viewer.display_options import Display
@@ -270,7 +269,7 @@ def judged_lines(result: RunResult) -> list[str]:
         if math.isnan(mean):  # a note says why
             lines.append(f"{metric.words} is not given")
             continue
-        low, high = mean_interval(values)[::2] if values.size > 1 else (mean, mean)
+        low, high = result.interval(values, metric.columns[0]) or (mean, mean)
         value = with_error(mean, (high - low) / 2) if high > low else f"{mean:.4g}"
         seen = _threshold_words(result, mean) if metric is DETECTABILITY and (mean or result.threshold) else ""
         lines.append(f"{metric.words} {value} {metric.unit}".rstrip() + f", of the {metric.judges}{seen}")

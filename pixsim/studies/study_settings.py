@@ -14,7 +14,7 @@ from pixsim.scene.study_scene import StudyScene
 from pixsim.sensor.colour_options import efficiencies_of
 from pixsim.sensor.pixel_options import (
     NO_TECHNOLOGY,
-    REGISTERED_BORDER,
+    BORDER_PIXELS,
     Pixel,
     PixelOptions,
     excluded_by,
@@ -175,7 +175,7 @@ class Study(Setting):
     @property
     def border_um(self) -> float:
         """Width on each side of the die that is not scored on a display of fixed size, for all pixel sizes and registrations."""
-        return REGISTERED_BORDER * self.pitch.largest_um
+        return BORDER_PIXELS * self.pitch.largest_um
 
     @property
     def stream_name(self) -> str:

@@ -17,6 +17,7 @@ from pixsim.studies.averages import Averaged, shown_delta_e
 from pixsim.studies.cases import Case
 from pixsim.studies.extent import stated_end_lp_per_mm
 from pixsim.studies.lineup import ComparisonJob, Lineup, pixels_of
+from pixsim.studies.matched_cameras import Match
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
 from pixsim.studies.paired import mean_interval, probability_above_zero
 from pixsim.studies.viewing import Viewed, range_words, where_words
@@ -28,6 +29,12 @@ if TYPE_CHECKING:
     from pixsim.studies.comparison import Comparison
 
 SURE = 0.999  # probabilities beyond it are not shown in more digits
+# What the cameras of the sensors have in common, on which a verdict depends: of another match it may be the other one.
+MATCH_WORDS: dict[Match, str] = {
+    "view": "with match view (one field)",
+    "lens": "with match lens (one lens)",
+    "own": "with match own (own lenses)",
+}
 
 
 def shown_probability(probability: float) -> str:
@@ -48,15 +55,19 @@ def verdict(result: Averaged, other: str) -> str:
     return "; ".join(verdict_parts(result, other))
 
 
-def verdict_parts(result: Averaged, other: str) -> list[str]:
+def verdict_parts(result: Averaged, other: str, match_words: str = "") -> list[str]:
     """Return the answer for the first sensor and another: which is better, by how much, how sure that is, and where it holds.
 
     Neither is called better if half of the difference's 95 % interval and the film's error exceed it together. One is called
     better without a condition only if it is so under all viewings of the range.
+
+    match_words : of `MATCH_WORDS`, which follow the verdict; empty where a line above has them
     """
     names, views = (result.names[0], other), result.views(other)
     chosen, *_ = inside = [view for view in views if view.inside]
-    words = _verdict_on(chosen, names)
+    matched = f" {match_words}" if match_words else ""
+    on_display = _verdict_on(chosen, names)
+    words = f"{on_display}{matched}"
     if len(inside) == 1 or all(view.difference == 0 for view in inside):
         return [words]
     signs = {view.sign for view in inside}
@@ -65,11 +76,11 @@ def verdict_parts(result: Averaged, other: str) -> list[str]:
     if len(signs) == 1:
         sizes = sorted(abs(view.difference) for view in inside)
         return [words, f"in the whole range of viewing by {sizes[0]:.2g} to {sizes[-1]:.2g} ΔE"]
-    where, on_chosen = where_words(inside, names), f"on {chosen.viewing}, {words}"
-    depends = f"which is better depends on the viewing: {where}"
+    where, on_chosen = where_words(inside, names), f"on {chosen.viewing}, {on_display}"
+    depends = f"which is better{matched} depends on the viewing: {where}"
     if has_room([depends]):
         return [depends, on_chosen]
-    return [f"which of {names[0]} and {names[1]} is better depends on the viewing", on_chosen, where]
+    return [f"which of {names[0]} and {names[1]} is better{matched} depends on the viewing", on_chosen, where]
 
 
 def elsewhere_note(result: Averaged, other: str) -> str:
@@ -84,7 +95,7 @@ def elsewhere_note(result: Averaged, other: str) -> str:
     return f"{names[0]} and {names[1]}: the verdict depends on the display that was stated; {others}: {where_words(views, names)}"
 
 
-def ranking_words(result: Averaged) -> str:
+def ranking_words(result: Comparison) -> str:
     """Return the order of three sensors and more, the best first."""
     groups = [
         group[0]
@@ -92,7 +103,8 @@ def ranking_words(result: Averaged) -> str:
         else f"{', '.join(group[:-1])} and {group[-1]} (whose order depends on the viewing or is not sure)"
         for group in result.ranking
     ]
-    return f"ranking, the best first, all on one display: {'; then '.join(groups)}"
+    matched = MATCH_WORDS[result.prepared.match]
+    return f"ranking {matched}, the best first, all on one display: {'; then '.join(groups)}"
 
 
 def _verdict_on(view: Viewed, names: tuple[str, str]) -> str:
@@ -127,12 +139,13 @@ def conditions_disagree(result: Averaged, other: str) -> bool:
     return len({_winner(part, other) for part in (pair, *(part for _, part in pair.counted))} - {None}) > 1
 
 
-def whole_verdict(result: Averaged, other: str) -> str:
+def whole_verdict(result: Comparison, other: str) -> str:
     """Return the answer for the first sensor and another; each condition's and then the weighted mean's where these disagree."""
     pair = result.pair(other)
+    matched_verdict = "; ".join(verdict_parts(pair, other, MATCH_WORDS[result.prepared.match]))
     if not conditions_disagree(pair, other):
-        return "; ".join(filter(None, (verdict(pair, other), pair.unconverged)))
-    words = ["the conditions disagree", *_answers_of_conditions(pair, other), f"weighted mean: {verdict(pair, other)}"]
+        return "; ".join(filter(None, (matched_verdict, pair.unconverged)))
+    words = ["the conditions disagree", *_answers_of_conditions(pair, other), f"weighted mean: {matched_verdict}"]
     return "; ".join(filter(None, (*words, pair.unconverged)))
 
 
@@ -144,10 +157,10 @@ def _answers_of_conditions(pair: Averaged, other: str) -> list[str]:
     return [_in_condition(part, other) for _, part in pair.counted]
 
 
-def answer(result: Averaged, other: str) -> Answer:
+def answer(result: Comparison, other: str) -> Answer:
     """Return `whole_verdict` as an answer: first who is better, on the weighted mean, then the largest cause of that."""
     pair = result.pair(other)
-    first, *others = verdict_parts(pair, other)
+    first, *others = verdict_parts(pair, other, MATCH_WORDS[result.prepared.match])
     found = pair.unconverged.split("; ") if pair.unconverged else []
     causes = [words for words in found if not words.startswith(NOT_CONVERGED)]
     begin = [first]
@@ -160,7 +173,7 @@ def answer(result: Averaged, other: str) -> Answer:
     return replace(found_words, named=first.startswith(result.names))
 
 
-def answers(result: Averaged) -> list[Answer]:
+def answers(result: Comparison) -> list[Answer]:
     """Return the answer for each later sensor, and the order of three and more."""
     found = [answer(result, other) for other in result.names[1:]]
     return found + ([headline(ranking_words(result).split("; "))] if len(result.names) > 2 else [])

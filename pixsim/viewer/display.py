@@ -41,7 +41,7 @@ from pixsim.sensor.integration import (
     pixels_on,
 )
 from pixsim.sensor.pixel import CENTRED, PixelPhysics, Registration
-from pixsim.sensor.pixel_options import CENTRED_BORDER, REGISTERED_BORDER
+from pixsim.sensor.pixel_options import BORDER_PIXELS
 from pixsim.sensor.readout import Frame
 from pixsim.viewer.display_options import Display
 
@@ -215,8 +215,8 @@ def dot_edges_um(
         if 2 * cut >= count:
             dot_um, hint = length_um / count, "Choose smaller pixels, a larger die, or display.raster = 'one_to_one'."
             got = f"pixels whose border of {border_um:g} µm on each side leaves none of the {count} dots of {dot_um:.3g} µm"
-            most = f"{CENTRED_BORDER:g} pixel wide in a run, {REGISTERED_BORDER:g} of the largest in a study"
-            raise invalid("pixel.pitch_um", got, f"a border ({most}) below {(count - 1) // 2 * dot_um:.4g} µm on this die", hint)
+            width = f"{BORDER_PIXELS:g} of the largest pixels wide"
+            raise invalid("pixel.pitch_um", got, f"a border ({width}) below {(count - 1) // 2 * dot_um:.4g} µm on this die", hint)
         edges.append(np.linspace(0.0, length_um, count + 1)[cut : count + 1 - cut])
     return edges[0], edges[1]
 

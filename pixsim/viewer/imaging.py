@@ -9,7 +9,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.sensor.correction_options import NO_CORRECTION, Correction
 from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.integration import ChannelLight
+from pixsim.sensor.integration import ChannelLight, pixels_on
 from pixsim.sensor.motion import velocity_um_per_s
 from pixsim.sensor.motion_options import STILL, Motion
 from pixsim.sensor.pixel import PixelPhysics, derive
@@ -30,7 +30,7 @@ class Imaging:
     border_um : of all that is scored on the same dots, as for `pixsim.viewer.display.dot_edges_um`; None means this pixel's
     single : compute dots and S-CIELAB in float32
     judging : what is asked of the judges
-    is_run : whether its repeats are the sensors of a run: their array is centred, and the first one's random streams have no number
+    is_run : whether its repeats are the sensors of a run: the array of the first one is centred, and its random streams have no number
     """
 
     camera: Camera
@@ -62,9 +62,24 @@ class Imaging:
             return self
         return replace(self, pixel=self.pixel.model_copy(update={"pitch_um": pitch_um}))
 
-    def registered(self, repeat: int) -> PixelPhysics:
-        """Return the pixel of one repeat, with its registration; in a run, and where dots are pixels, the array stays centred."""
-        return self.physics.registered(repeat) if self.display.raster == "fixed_size" and not self.is_run else self.physics
+    def registered(self, repeat: int, light: SharedLight | None = None) -> PixelPhysics:
+        """Return the pixel of one repeat, with its registration. Where dots are pixels, all arrays are centred.
+
+        The first repeat of a run is centred: its registration is 0 along an axis with an even number of pixels, and 0.5 with an
+        odd one. The further ones are spread from there as those of a study are from 0.
+
+        light : whose array the pixels of a run fill
+        """
+        if self.display.raster == "one_to_one":
+            return self.physics
+        if not self.is_run:
+            return self.physics.registered(repeat)
+        if repeat == 0:
+            return self.physics
+
+        assert isinstance(light, PreparedScene)
+        rows, columns = pixels_on(light.array_um, self.physics.as_read.read_pitch_um)
+        return self.physics.registered(repeat, first=(columns % 2 / 2, rows % 2 / 2))
 
     def stream_of(self, stream: tuple[object, ...], repeat: int) -> tuple[object, ...]:
         """Return the key of the random streams of one repeat, which begins as those of all."""

@@ -343,7 +343,7 @@ class ImagingChain:
     whites_e_per_s : electrons per second of the scene's white, on axis, in each channel
     collection : what the pixels' stack does to their light; None without a stack
     rendition : what the channels see of a chart; None for a monochrome sensor
-    made_from : the light and the pixel, before it is read, for metrics that ask for light; None if none does
+    made_from : the light and the pixel, before it is read; None for a chain that stays in memory
     without_e_per_s : the signal of the scene without its target; None if no metric asks
     um_per_s : velocity [x, y] of the image on the sensor
     moving : how the light moves in a frame, whose time the exposure states then
@@ -1165,8 +1165,7 @@ def _chain(
     without = None
     if light.facts is not None and light.facts.without is not None:
         without, _ = array_signal(light.facts.without, light.sample_pitch_um, physics, light.array_um)
-    made_from = None if light.facts is None else (light, physics)
-    own = light.screen, correction, collection, develop, rendition, made_from, without
+    own = light.screen, correction, collection, develop, rendition, (light, physics), without
     return ImagingChain(signal, read, exposure, whites, *own)
 
 
@@ -1210,7 +1209,8 @@ def make_imaging_chain(
         own = irradiance, camera, physics, display, full
         light = (prepare or prepare_scene)(*own, border_um=border_um, judging=judging, without=without, develop=develop)
         um_per_s = velocity_um_per_s(motion, camera, physics.pitch_um)
-        found = chain_at_pitch(light, physics, exposure, correction, develop, um_per_s), light.beyond_white
+        chain = chain_at_pitch(light, physics, exposure, correction, develop, um_per_s)
+        found = (chain if key is None else replace(chain, made_from=None)), light.beyond_white
     else:
         found = _kept_chains.pop(key)
     if key is not None:

@@ -191,16 +191,16 @@ def test_repeats_of_a_study_have_their_registrations(tmp_path: object) -> None:
 
 
 def test_evaluate_stays_centred_unless_a_registration_is_stated() -> None:
-    """A registration moves the border from one pixel to one and a half; (0, 0) of an even number of pixels is the centred array."""
+    """The border of both is one and a half pixels; (0, 0) of an even number of pixels is the centred array."""
     image, camera = chart(256), CAMERA
     display = Display(dots=128)
     centred, stated = (
         evaluate(image, camera, Pixel(pitch_um=21.2, infrared_cut_nm=700.0, registration=where), LONG, display)
         for where in (None, (0.0, 0.0))
     )
-    assert centred.border_um == pytest.approx((21.2, 21.2))
-    assert stated.border_um == pytest.approx((42.4, 42.4))  # whole dots
+    assert centred.border_um == stated.border_um == pytest.approx((42.4, 42.4))  # whole dots
     np.testing.assert_array_equal(stated.frame.dn, centred.frame.dn)
+    np.testing.assert_array_equal(stated.delta_e, centred.delta_e)
     one_to_one = Display(raster="one_to_one")
     moved = evaluate(image, camera, Pixel(pitch_um=21.2, infrared_cut_nm=700.0, registration=(0.5, 0.0)), LONG, one_to_one)
     assert moved.delta_e.shape == (128, 127)

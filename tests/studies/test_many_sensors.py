@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from pixsim import Camera, Display, Exposure, Pixel, PixsimError, SpectralImage, evaluate, sweep
-from pixsim.viewer.judged import Judging
-from pixsim.viewer.metric_registry import metrics_named
-from pixsim.viewer.score import judged_score, make_imaging_chain
+from pixsim.studies.run import prepare, run_prepared
+from pixsim.viewer.setting import Run
 
 CAMERA = Camera(die_mm=0.64)
 DISPLAY = Display(dots=48, white_cd_per_m2=3000.0)
@@ -47,24 +46,25 @@ def test_numbers_of_pixels_of_one_size_are_those_of_evaluate_bit_for_bit(light, 
 
 
 def test_repeats_are_the_sensors_of_a_run(light):
-    """`pixsim run --repeats 3` scores these frames, each a sensor of its own."""
+    """`pixsim run --repeats 3` scores these frames, each a sensor of its own at its registration."""
     table = sweep(light, [SAME_SIZE["paper"]], camera=CAMERA, display=DISPLAY, metrics=METRICS, repeats=3, seed=2, jobs=1)
-    judging = Judging(metrics_named(METRICS))
-    chain = make_imaging_chain(light, CAMERA, SAME_SIZE["paper"], Exposure(), DISPLAY, judging=judging)
-    for row, key in zip(table, [(2,), (2, 1), (2, 2)], strict=True):
-        expected = judged_score(chain, judging, ("evaluate", *key)).statistics()
+    tables = {"camera": CAMERA, "pixel": SAME_SIZE["paper"], "display": DISPLAY}
+    stated = {name: table.model_dump(exclude_unset=True) for name, table in tables.items()}
+    settings = Run.model_validate(stated | {"metrics": METRICS, "seed": 2})
+    result = run_prepared(prepare(light, settings, repeats=3))
+    for row, expected in zip(table, result.statistics, strict=True):
         assert {name: row[name] for name in expected} == expected
 
 
 def test_pixels_of_several_sizes_are_scored_on_the_same_dots(light):
-    """Dots of 13.3 µm: the border of pixels of 30 µm is three of them wide, that of pixels of 6 µm one."""
+    """Dots of 13.3 µm: the border of pixels of 30 µm is four of them wide, that of pixels of 6 µm one."""
     small, large = Pixel(pitch_um=6.0), Pixel(pitch_um=30.0)
     table = sweep(light, [small, large], camera=CAMERA, display=DISPLAY, metrics=["delta_e", mean_image], jobs=1)
     alone = [evaluate(light, CAMERA, pixel, display=DISPLAY) for pixel in (small, large)]
     assert table[1]["mean_delta_e"] == alone[1].mean_delta_e
     assert table[0]["mean_electrons_e"] == alone[0].statistics()["mean_electrons_e"]
-    assert (alone[0].image.shape, alone[1].image.shape) == ((46, 46), (42, 42))
-    assert table[0]["mean_image"] == pytest.approx(alone[0].image[2:-2, 2:-2].mean(), rel=1e-12)
+    assert (alone[0].image.shape, alone[1].image.shape) == ((46, 46), (40, 40))
+    assert table[0]["mean_image"] == pytest.approx(alone[0].image[3:-3, 3:-3].mean(), rel=1e-12)
 
 
 def test_metric_without_a_number_for_one_of_the_sensors_is_nan(light):
@@ -88,8 +88,9 @@ def test_jobs_change_no_number_and_another_light_does():
     assert alone[0][0]["mean_delta_e"] != alone[1][0]["mean_delta_e"]
 
 
-def test_white_that_nobody_states_is_one_for_all(light):
+def test_white_that_nobody_states_is_one_for_all():
     """That of the sensor which sees the picture brightest; each alone would have its own."""
+    light = light_of(9)  # whose whites differ after rounding
     with pytest.warns(UserWarning, match="the largest of these sensors'"):
         table = sweep(light, SAME_SIZE, camera=CAMERA, display=Display(dots=48), metrics=[mean_image], jobs=1)
     with pytest.warns(UserWarning, match="the scene does not define its white") as notes:

@@ -16,6 +16,9 @@ from scipy import stats
 import pixsim
 from pixsim.base.caller import command_line
 from pixsim.base.files import PROVENANCE
+from pixsim.report.run import run_document
+from pixsim.sensor.pixel import spread_registration
+from pixsim.show.render import text as text_of
 from pixsim.studies.run import RunResult
 
 SMALL: dict[str, Any] = {"pixel": {"pitch_um": 21.2}, "resolution": 64, "display": {"dots": 64}, "seed": 3}
@@ -77,18 +80,46 @@ MANY = 400
 
 @pytest.fixture(scope="module")
 def many() -> RunResult:
-    """Many sensors of a few pixels, which take a millisecond each."""
-    settings = {"camera": {"die_mm": 0.64}, "pixel": {"pitch_um": 40.0}, "resolution": 32, "display": {"dots": 16}}
+    """Many sensors of a few pixels at one registration, which take a millisecond each."""
+    pixel = {"pitch_um": 40.0, "registration": [0.0, 0.0]}
+    settings = {"camera": {"die_mm": 0.64}, "pixel": pixel, "resolution": 32, "display": {"dots": 16}}
     return pixsim.run("flat", variant="scalar_spectral", repeats=MANY, **settings)
 
 
 def test_repeats_are_sensors_of_their_own_and_the_first_is_that_of_one(made: RunResult) -> None:
     several = pixsim.run("csf", variant="scalar_spectral", repeats=3, **SMALL)
-    alone = [made.score.mean_delta_e, *(made.chain.simulate("evaluate", 3, number).mean_delta_e for number in (1, 2))]
-    np.testing.assert_array_equal(several.delta_e, alone)
-    assert len(set(alone)) == 3
+    assert several.statistics[0] == made.statistics[0]
     np.testing.assert_array_equal(several.score.image, made.score.image)
+    assert len(set(several.delta_e)) == 3
     assert made.interval_delta_e is None
+
+
+# An even number of pixels has a border at the centre of the die, an odd one the middle of a pixel.
+@pytest.mark.parametrize(("pitch_um", "first"), [(21.2, 0.0), (21.3, 0.5)])
+def test_registrations_of_repeats_are_spread_from_the_centred_one(pitch_um: float, first: float) -> None:
+    """As of a study, but for the shift: each repeat is that of a run which states its registration."""
+    pixel = {"pitch_um": pitch_um}
+    several = pixsim.run("csf", variant="scalar_spectral", repeats=3, **(SMALL | {"pixel": pixel}))
+    assert several.score.frame.pixels == ((128, 128) if first == 0.0 else (127, 127))
+    for number in range(3):
+        x, y = ((part + first) % 1.0 for part in spread_registration(number))
+        stated = pixsim.run("csf", variant="scalar_spectral", **(SMALL | {"pixel": pixel | {"registration": [x, y]}}))
+        key = ("evaluate", 3, number) if number else ("evaluate", 3)
+        assert stated.chain.simulate(*key).mean_delta_e == pytest.approx(several.delta_e[number], rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("pixel", "display"), [({"registration": [0.2, 0.7]}, {}), ({}, {"raster": "one_to_one"})], ids=["stated", "one to one"]
+)
+def test_repeats_of_one_registration_are_those_of_one_chain(pixel: dict[str, Any], display: dict[str, Any]) -> None:
+    """Where the pixels of all repeats lie at one place, the answer says that its interval is of this registration."""
+    settings = SMALL | {"pixel": SMALL["pixel"] | pixel, "display": SMALL["display"] | display}
+    several = pixsim.run("csf", variant="scalar_spectral", repeats=3, **settings)
+    alone = [several.score.mean_delta_e, *(several.chain.simulate("evaluate", 3, number).mean_delta_e for number in (1, 2))]
+    np.testing.assert_array_equal(several.delta_e, alone)
+    assert not several.is_spread
+    (line,) = [text for text in text_of(run_document(several)).splitlines() if text.startswith("3 sensors")]
+    assert "95 % interval of their mean of this registration " in line
 
 
 def test_interval_is_that_of_student(many: RunResult) -> None:
