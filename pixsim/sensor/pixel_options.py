@@ -354,7 +354,7 @@ class Pixel(PixelOptions):
     registration: Annotated[tuple[PartOfPixel, PartOfPixel], BeforeValidator(as_list)] | None = Field(
         None,
         description="[x, y]: distance of a pixel border from the die's centre, in pixels, 0 to below 1 (absent: the pixels are "
-        "centred; in a study or a comparison each repeat has its own)",
+        "centred, and of several repeats each has its own)",
     )
 
     @model_validator(mode="before")

@@ -27,7 +27,7 @@ from pixsim.sensor.integration import check_pixel_count, pixels_on
 from pixsim.sensor.labels import file_label, labels_of
 from pixsim.sensor.motion import border_with_room_um
 from pixsim.sensor.pixel import derive
-from pixsim.sensor.pixel_options import NO_TECHNOLOGY, BORDER_PIXELS
+from pixsim.sensor.pixel_options import BORDER_PIXELS, NO_TECHNOLOGY
 from pixsim.sensor.spread import sheet_uncertainty
 from pixsim.sensor.technology import check_name
 from pixsim.studies.budget import without_warnings

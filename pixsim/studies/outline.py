@@ -27,8 +27,8 @@ from pixsim.studies.cost import (
 from pixsim.studies.film_error import FilmSampling, film_error
 from pixsim.studies.keys import evaluated_before, light_hash
 from pixsim.studies.lights import demand_of
-from pixsim.studies.sampling import study_pitches_um
 from pixsim.studies.run import NOISE_SENSORS
+from pixsim.studies.sampling import study_pitches_um
 from pixsim.studies.sensor_types import drawn_metrics
 
 if TYPE_CHECKING:

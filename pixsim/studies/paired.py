@@ -13,6 +13,8 @@ from pixsim.base.errors import invalid
 
 CONFIDENCE = 0.95
 FEWEST_PAIRS = 2  # that have a scatter
+NORMAL_95 = 1.96
+NET_ORDER = 1.5  # of the error of evenly spread points, as a power of their number
 
 
 @checks_arguments
@@ -37,26 +39,31 @@ def spread_interval(values: Array, at_first: Array) -> tuple[float, float, float
     at_first : (m,), m > 1, of further sensors at one registration
 
     The registrations' part of the scatter is no measure of the error of the mean, since evenly spread points integrate it: it
-    would make intervals up to eleven times too long (tests/benchmarks/repeats_interval.py). So the interval has two parts. The noise of the sensors is that
-    of Student's t, from the scatter at one registration. The error of evenly spread points falls as 1/n or faster (H. Niederreiter,
-    Random Number Generation and Quasi-Monte Carlo Methods, 1992, chapter 3). So it is at most the step of the mean from half of
-    them to all; a larger step from a quarter to a half counts half, and so on.
+    would make intervals up to twelve times too long (tests/benchmarks/repeats_interval.py). So half of the interval is the root of
+    the sum of two squares. One is the noise of the sensors, by Student's t from their scatter at one registration. The other is
+    the error of the registrations: that of the blocks of 1, 2, 4, … points of which n consists. For a block of 2ᵇ points it is 1.96
+    times the scatter of such blocks, and at least that of half as many points over 2^1.5, as it falls for smooth functions (A. B.
+    Owen, Ann. Stat. 25 (1997) 1541). The largest block has no scatter. Where registrations move the number by twenty times its
+    noise, that of two or three sensors holds 80 or 92 % only.
 
-    >>> spread_interval(np.array([1.0, 2.0, 2.0, 1.0]), np.array([1.0, 1.0]))  # the mean of one, two and four: 1, 1.5, 1.5
-    (1.25, 1.5, 1.75)
+    >>> [round(end, 2) for end in spread_interval(np.array([1.0, 2.0]), np.array([1.0, 1.0]))]  # 1.5 ± 1.96 × 0.707/2.83
+    [1.01, 1.5, 1.99]
     """
     mean = float(values.mean())
     low, _, high = mean_interval(at_first)
-    noise_half = (high - low) / 2 * math.sqrt(at_first.size / values.size)
+    square = ((high - low) / 2) ** 2 * at_first.size / values.size
 
-    registration_half, count = 0.0, values.size
-    while count > 1:
-        fewer = math.ceil(count / 2)
-        step = abs(float(values[:count].mean() - values[:fewer].mean()))
-        registration_half = max(registration_half, step * count / values.size)
-        count = fewer
+    error = 0.0
+    for digit in range(values.size.bit_length()):
+        size = 1 << digit
+        blocks = values[: values.size // size * size].reshape(-1, size).mean(axis=1)
+        error /= 2**NET_ORDER
+        if blocks.size >= FEWEST_PAIRS:
+            error = max(error, NORMAL_95 * float(blocks.std(ddof=1)))
+        if values.size & size:
+            square += (error * size / values.size) ** 2
 
-    half = noise_half + registration_half
+    half = math.sqrt(square)
     return mean - half, mean, mean + half
 
 

@@ -13,8 +13,8 @@ from pixsim.base.records import AnyNumber, UnitInterval
 from pixsim.scene.study_scene import StudyScene
 from pixsim.sensor.colour_options import efficiencies_of
 from pixsim.sensor.pixel_options import (
-    NO_TECHNOLOGY,
     BORDER_PIXELS,
+    NO_TECHNOLOGY,
     Pixel,
     PixelOptions,
     excluded_by,

@@ -30,7 +30,7 @@ class Imaging:
     border_um : of all that is scored on the same dots, as for `pixsim.viewer.display.dot_edges_um`; None means this pixel's
     single : compute dots and S-CIELAB in float32
     judging : what is asked of the judges
-    is_run : whether its repeats are the sensors of a run: the array of the first one is centred, and its random streams have no number
+    is_run : whether its repeats are the sensors of a run: the first one is centred, and its random streams have no number
     """
 
     camera: Camera
