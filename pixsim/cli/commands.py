@@ -149,8 +149,9 @@ def run(
     repeats: Annotated[
         int,
         Parameter(
-            help="Number of sensors of this kind, each with a fixed pattern and noise of its own: the answer is the mean of their "
-            "ΔE with its 95 % interval. Pictures and frames are of the first. With --tolerance-delta-e, at least so many."
+            help="Number of sensors of this kind, each with a fixed pattern and noise of its own and at another registration with "
+            "the picture: the answer is the mean of their ΔE with its 95 % interval. Pictures and frames are of the first, which "
+            "is centred. With --tolerance-delta-e, at least so many."
         ),
     ] = 1,
     frames: Annotated[

@@ -77,7 +77,7 @@ class Comparison(Averaged):
                     more["uncertainty"][each.names[1]].setdefault("metrics", {})[each.metric.name] = each.as_dict()
         return more | {
             "names": list(self.names),
-            "verdicts": {other: whole_verdict(self, other) for other in self.names[1:]},
+            "verdicts": {other: whole_verdict(self, other, prepared.match) for other in self.names[1:]},
             **self.answers(),
             "match": prepared.match,
             "repeats": prepared.repeats,

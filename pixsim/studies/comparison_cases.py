@@ -129,7 +129,7 @@ class ComparedCases:
     @property
     def answers(self) -> list[tuple[Case[Study], list[str]]]:
         """Each case with its answer for each later sensor."""
-        return [(case, [whole_verdict(own, other) for other in self.names[1:]]) for case, own in self.results]
+        return [(case, [whole_verdict(own, other, own.prepared.match) for other in self.names[1:]]) for case, own in self.results]
 
     def as_dict(self) -> dict[str, Any]:
         """Return compare.json."""
@@ -138,7 +138,7 @@ class ComparedCases:
             "verdicts": {other: self.headline(other) for other in self.names[1:]},
             "cases": [
                 {"at": case.at, "folder": case.folder}
-                | {"verdicts": {other: whole_verdict(result, other) for other in self.names[1:]}}
+                | {"verdicts": {other: whole_verdict(result, other, result.prepared.match) for other in self.names[1:]}}
                 | result.answers()
                 for case, result in self.results
             ],

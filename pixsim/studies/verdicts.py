@@ -95,16 +95,15 @@ def elsewhere_note(result: Averaged, other: str) -> str:
     return f"{names[0]} and {names[1]}: the verdict depends on the display that was stated; {others}: {where_words(views, names)}"
 
 
-def ranking_words(result: Comparison) -> str:
-    """Return the order of three sensors and more, the best first."""
+def ranking_words(result: Averaged, match: Match) -> str:
+    """Return the order of three sensors and more under a match, the best first."""
     groups = [
         group[0]
         if len(group) == 1
         else f"{', '.join(group[:-1])} and {group[-1]} (whose order depends on the viewing or is not sure)"
         for group in result.ranking
     ]
-    matched = MATCH_WORDS[result.prepared.match]
-    return f"ranking {matched}, the best first, all on one display: {'; then '.join(groups)}"
+    return f"ranking {MATCH_WORDS[match]}, the best first, all on one display: {'; then '.join(groups)}"
 
 
 def _verdict_on(view: Viewed, names: tuple[str, str]) -> str:
@@ -139,10 +138,13 @@ def conditions_disagree(result: Averaged, other: str) -> bool:
     return len({_winner(part, other) for part in (pair, *(part for _, part in pair.counted))} - {None}) > 1
 
 
-def whole_verdict(result: Comparison, other: str) -> str:
-    """Return the answer for the first sensor and another; each condition's and then the weighted mean's where these disagree."""
+def whole_verdict(result: Averaged, other: str, match: Match) -> str:
+    """Return the answer for the first sensor and another; each condition's and then the weighted mean's where these disagree.
+
+    match : of their cameras, under which the answer holds
+    """
     pair = result.pair(other)
-    matched_verdict = "; ".join(verdict_parts(pair, other, MATCH_WORDS[result.prepared.match]))
+    matched_verdict = "; ".join(verdict_parts(pair, other, MATCH_WORDS[match]))
     if not conditions_disagree(pair, other):
         return "; ".join(filter(None, (matched_verdict, pair.unconverged)))
     words = ["the conditions disagree", *_answers_of_conditions(pair, other), f"weighted mean: {matched_verdict}"]
@@ -157,10 +159,10 @@ def _answers_of_conditions(pair: Averaged, other: str) -> list[str]:
     return [_in_condition(part, other) for _, part in pair.counted]
 
 
-def answer(result: Comparison, other: str) -> Answer:
+def answer(result: Averaged, other: str, match: Match) -> Answer:
     """Return `whole_verdict` as an answer: first who is better, on the weighted mean, then the largest cause of that."""
     pair = result.pair(other)
-    first, *others = verdict_parts(pair, other, MATCH_WORDS[result.prepared.match])
+    first, *others = verdict_parts(pair, other, MATCH_WORDS[match])
     found = pair.unconverged.split("; ") if pair.unconverged else []
     causes = [words for words in found if not words.startswith(NOT_CONVERGED)]
     begin = [first]
@@ -175,8 +177,8 @@ def answer(result: Comparison, other: str) -> Answer:
 
 def answers(result: Comparison) -> list[Answer]:
     """Return the answer for each later sensor, and the order of three and more."""
-    found = [answer(result, other) for other in result.names[1:]]
-    return found + ([headline(ranking_words(result).split("; "))] if len(result.names) > 2 else [])
+    found = [answer(result, other, result.prepared.match) for other in result.names[1:]]
+    return found + ([headline(ranking_words(result, result.prepared.match).split("; "))] if len(result.names) > 2 else [])
 
 
 # --- what the answers belong to ---------------------------------------------------------------------------------------------------

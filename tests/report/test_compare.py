@@ -192,11 +192,12 @@ def test_headline_names_the_conditions_that_disagree(night: list[float], disagre
     """The weighted mean alone would say that one sensor is better, and that nobody sees it."""
     day, night_part = ([1.0, 1.01], [1.2, 1.21]), ([1.2, 1.21], night)
     both = Averaged(tuple((0.5, observed({CHOSEN: own}, condition=name)) for name, own in (("day", day), ("night", night_part))))
-    words = whole_verdict(both, "b")
+    words = whole_verdict(both, "b", "view")
     assert (words != verdict(both, "b")) == disagree
     if disagree:
         named = [f"{name} (weight 0.5): {verdict(part, 'b')}" for part, name in zip(both.conditions, ("day", "night"), strict=True)]
-        assert words == "; ".join(["the conditions disagree", *named, f"weighted mean: {verdict(both, 'b')}"])
+        mean = f"weighted mean: {verdict(both, 'b')} with match view (one field)"
+        assert words == "; ".join(["the conditions disagree", *named, mean])
 
 
 def test_headlines_are_short_whatever_the_result_is() -> None:
@@ -209,13 +210,13 @@ def test_headlines_are_short_whatever_the_result_is() -> None:
     )  # fmt: skip
     for values, film, unsure in product(shown, (0.0, 0.1, None), ("", noisy, cause, f"{cause}; {noisy}")):
         given = unsure_of(viewed_of(values, film), unsure)
-        found = answer(given, "b")
+        found = answer(given, "b", "view")
         head, *rest = map(plain_text, (found.head, *found.below))
         assert len(head.split()) <= MOST_WORDS
         assert ("not converged" in head) == (noisy in unsure)
         fits = len(f"{verdict_parts(given, 'b')[0]} {cause} {NOT_CONVERGED}".split()) <= MOST_WORDS
         assert (cause in head) == (cause in unsure) or not fits
-        assert all(part in "; ".join([head, *rest]) for part in whole_verdict(given, "b").split("; "))
+        assert all(part in "; ".join([head, *rest]) for part in whole_verdict(given, "b", "view").split("; "))
 
 
 def test_headline_says_that_a_render_is_too_noisy() -> None:
@@ -226,8 +227,8 @@ def test_headline_says_that_a_render_is_too_noisy() -> None:
         return Averaged(((1.0, observed({CHOSEN: pair}, noises=noises)),))
 
     worst = "not converged: render noise is 2.4 of the sensor's noise, target 0.2"
-    assert whole_verdict(of(0.3, 2.4), "b") == f"{verdict(of(0.3, 2.4), 'b')}; {worst}"
-    assert whole_verdict(of(0.1, 0.1), "b") == verdict(of(0.1, 0.1), "b")
+    assert whole_verdict(of(0.3, 2.4), "b", "own") == f"{verdict(of(0.3, 2.4), 'b')} with match own (own lenses); {worst}"
+    assert whole_verdict(of(0.1, 0.1), "b", "own") == f"{verdict(of(0.1, 0.1), 'b')} with match own (own lenses)"
 
 
 def test_shown_delta_e_has_no_more_digits_than_it_is_sure_of() -> None:

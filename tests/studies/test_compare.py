@@ -350,8 +350,9 @@ def test_ranking_separates_what_is_sure_under_all_viewings() -> None:
     assert of(replace(ranges, stated=("dots",))).ranking == (("a",), ("b",), ("c",), ("d",))
     without = of(ranges, left_out=1)
     assert without.ranking == (("a",), ("b", "c"))
-    assert ranking_words(without) == (
-        "ranking, the best first, all on one display: a; then b and c (whose order depends on the viewing or is not sure)"
+    assert ranking_words(without, "own") == (
+        "ranking with match own (own lenses), the best first, all on one display: a; then b and c (whose order depends on the "
+        "viewing or is not sure)"
     )
 
 

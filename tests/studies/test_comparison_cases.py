@@ -27,7 +27,8 @@ def cases(axes: list[dict[str, Any]], signs: list[int]) -> ComparedCases:
     """Comparisons of a and b at the values of some axes, with these signs of the difference."""
     found_axes, found = cases_of_comparison(Study.model_validate({"name": "axes", "axis": axes}))
     views = [(SimpleNamespace(inside=True, sign=sign),) for sign in signs]
-    results = [SimpleNamespace(names=("a", "b"), views=lambda _, own=own: own) for own in views]
+    prepared = SimpleNamespace(match="lens")
+    results = [SimpleNamespace(names=("a", "b"), views=lambda _, own=own: own, prepared=prepared) for own in views]
     return ComparedCases(found_axes, tuple(zip(found, results, strict=True)))  # type: ignore[arg-type]
 
 
@@ -48,7 +49,7 @@ def cases(axes: list[dict[str, Any]], signs: list[int]) -> ComparedCases:
     ],
 )
 def test_headline_says_where_which_is_better(axes: list[dict[str, Any]], signs: list[int], words: str) -> None:
-    assert cases(axes, signs).headline("b") == words
+    assert cases(axes, signs).headline("b") == f"{words} with match lens (one lens)"
 
 
 def test_conditions_hold_at_each_value() -> None:
