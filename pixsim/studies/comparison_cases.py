@@ -22,7 +22,7 @@ from pixsim.studies.lineup import ComparisonJob
 from pixsim.studies.study_file import study_of
 from pixsim.studies.study_settings import Study
 from pixsim.studies.varied import MAX_CASE_NAME
-from pixsim.studies.verdicts import MATCH_WORDS, whole_verdict
+from pixsim.studies.verdicts import match_words, whole_verdict
 from pixsim.studies.viewing import where_along
 from pixsim.viewer.merging import merge
 
@@ -103,7 +103,7 @@ class ComparedCases:
 
         other : name of the other one
         """
-        return f"{self._verdict(other)} {MATCH_WORDS[self.results[0][1].prepared.match]}"
+        return f"{self._verdict(other)} {match_words(self.results[0][1].prepared.match)}"
 
     def _verdict(self, other: str) -> str:
         """Return at which values the first sensor is better, and at which another one."""

@@ -29,12 +29,6 @@ if TYPE_CHECKING:
     from pixsim.studies.comparison import Comparison
 
 SURE = 0.999  # probabilities beyond it are not shown in more digits
-# What the cameras of the sensors have in common, on which a verdict depends: of another match it may be the other one.
-MATCH_WORDS: dict[Match, str] = {
-    "view": "with match view (one field)",
-    "lens": "with match lens (one lens)",
-    "own": "with match own (own lenses)",
-}
 
 
 def shown_probability(probability: float) -> str:
@@ -50,22 +44,27 @@ def shown_probability(probability: float) -> str:
     return f"{probability:.3f}".rstrip("0").removeprefix("0")
 
 
+def match_words(match: Match) -> str:
+    """Return under which match of the cameras a verdict holds: under another one, the other sensor may be the better one."""
+    return f"with match {match}"
+
+
 def verdict(result: Averaged, other: str) -> str:
     """Return `verdict_parts` as one text."""
     return "; ".join(verdict_parts(result, other))
 
 
-def verdict_parts(result: Averaged, other: str, match_words: str = "") -> list[str]:
+def verdict_parts(result: Averaged, other: str, match: Match | None = None) -> list[str]:
     """Return the answer for the first sensor and another: which is better, by how much, how sure that is, and where it holds.
 
     Neither is called better if half of the difference's 95 % interval and the film's error exceed it together. One is called
     better without a condition only if it is so under all viewings of the range.
 
-    match_words : of `MATCH_WORDS`, which follow the verdict; empty where a line above has them
+    match : of their cameras, which the verdict says; None where a line above has it
     """
     names, views = (result.names[0], other), result.views(other)
     chosen, *_ = inside = [view for view in views if view.inside]
-    matched = f" {match_words}" if match_words else ""
+    matched = f" {match_words(match)}" if match else ""
     on_display = _verdict_on(chosen, names)
     words = f"{on_display}{matched}"
     if len(inside) == 1 or all(view.difference == 0 for view in inside):
@@ -78,7 +77,7 @@ def verdict_parts(result: Averaged, other: str, match_words: str = "") -> list[s
         return [words, f"in the whole range of viewing by {sizes[0]:.2g} to {sizes[-1]:.2g} ΔE"]
     where, on_chosen = where_words(inside, names), f"on {chosen.viewing}, {on_display}"
     depends = f"which is better{matched} depends on the viewing: {where}"
-    if has_room([depends]):
+    if has_room([depends, NOT_CONVERGED]):  # which may follow
         return [depends, on_chosen]
     return [f"which of {names[0]} and {names[1]} is better{matched} depends on the viewing", on_chosen, where]
 
@@ -103,7 +102,7 @@ def ranking_words(result: Averaged, match: Match) -> str:
         else f"{', '.join(group[:-1])} and {group[-1]} (whose order depends on the viewing or is not sure)"
         for group in result.ranking
     ]
-    return f"ranking {MATCH_WORDS[match]}, the best first, all on one display: {'; then '.join(groups)}"
+    return f"ranking {match_words(match)}, the best first, all on one display: {'; then '.join(groups)}"
 
 
 def _verdict_on(view: Viewed, names: tuple[str, str]) -> str:
@@ -144,7 +143,7 @@ def whole_verdict(result: Averaged, other: str, match: Match) -> str:
     match : of their cameras, under which the answer holds
     """
     pair = result.pair(other)
-    matched_verdict = "; ".join(verdict_parts(pair, other, MATCH_WORDS[match]))
+    matched_verdict = "; ".join(verdict_parts(pair, other, match))
     if not conditions_disagree(pair, other):
         return "; ".join(filter(None, (matched_verdict, pair.unconverged)))
     words = ["the conditions disagree", *_answers_of_conditions(pair, other), f"weighted mean: {matched_verdict}"]
@@ -162,7 +161,7 @@ def _answers_of_conditions(pair: Averaged, other: str) -> list[str]:
 def answer(result: Averaged, other: str, match: Match) -> Answer:
     """Return `whole_verdict` as an answer: first who is better, on the weighted mean, then the largest cause of that."""
     pair = result.pair(other)
-    first, *others = verdict_parts(pair, other, MATCH_WORDS[match])
+    first, *others = verdict_parts(pair, other, match)
     found = pair.unconverged.split("; ") if pair.unconverged else []
     causes = [words for words in found if not words.startswith(NOT_CONVERGED)]
     begin = [first]

@@ -19,7 +19,7 @@ from helpers.sheets import two_sheets
 from pixsim.base.headline import MOST_WORDS, NOT_CONVERGED
 from pixsim.show.document import plain_text
 from pixsim.studies.averages import Averaged, Observed, shown_delta_e
-from pixsim.studies.verdicts import MATCH_WORDS, answer, elsewhere_note, verdict, verdict_parts, whole_verdict
+from pixsim.studies.verdicts import answer, elsewhere_note, verdict, verdict_parts, whole_verdict
 from pixsim.studies.viewing import Viewing, ViewingRange
 from pixsim.viewer.setting import Run
 
@@ -193,7 +193,7 @@ def test_headline_names_the_conditions_that_disagree(night: list[float], disagre
     day, night_part = ([1.0, 1.01], [1.2, 1.21]), ([1.2, 1.21], night)
     both = Averaged(tuple((0.5, observed({CHOSEN: own}, condition=name)) for name, own in (("day", day), ("night", night_part))))
     words = whole_verdict(both, "b", "view")
-    mean = f"{verdict(both, 'b')} with match view (one field)"
+    mean = f"{verdict(both, 'b')} with match view"
     assert (words != mean) == disagree
     if disagree:
         named = [f"{name} (weight 0.5): {verdict(part, 'b')}" for part, name in zip(both.conditions, ("day", "night"), strict=True)]
@@ -214,7 +214,7 @@ def test_headlines_are_short_whatever_the_result_is() -> None:
         head, *rest = map(plain_text, (found.head, *found.below))
         assert len(head.split()) <= MOST_WORDS
         assert ("not converged" in head) == (noisy in unsure)
-        fits = len(f"{verdict_parts(given, 'b', MATCH_WORDS['view'])[0]} {cause} {NOT_CONVERGED}".split()) <= MOST_WORDS
+        fits = len(f"{verdict_parts(given, 'b', 'view')[0]} {cause} {NOT_CONVERGED}".split()) <= MOST_WORDS
         assert (cause in head) == (cause in unsure) or not fits
         assert all(part in "; ".join([head, *rest]) for part in whole_verdict(given, "b", "view").split("; "))
 
@@ -227,8 +227,8 @@ def test_headline_says_that_a_render_is_too_noisy() -> None:
         return Averaged(((1.0, observed({CHOSEN: pair}, noises=noises)),))
 
     worst = "not converged: render noise is 2.4 of the sensor's noise, target 0.2"
-    assert whole_verdict(of(0.3, 2.4), "b", "own") == f"{verdict(of(0.3, 2.4), 'b')} with match own (own lenses); {worst}"
-    assert whole_verdict(of(0.1, 0.1), "b", "own") == f"{verdict(of(0.1, 0.1), 'b')} with match own (own lenses)"
+    assert whole_verdict(of(0.3, 2.4), "b", "own") == f"{verdict(of(0.3, 2.4), 'b')} with match own; {worst}"
+    assert whole_verdict(of(0.1, 0.1), "b", "own") == f"{verdict(of(0.1, 0.1), 'b')} with match own"
 
 
 def test_shown_delta_e_has_no_more_digits_than_it_is_sure_of() -> None:
@@ -245,9 +245,9 @@ def test_shown_delta_e_has_no_more_digits_than_it_is_sure_of() -> None:
 @pytest.mark.parametrize("match", ["view", "lens", "own"])
 def test_terminal_page_and_json_say_the_match(match: str, tmp_path: Path) -> None:
     """The verdict on the same two sensors may turn with it, so the first line has it in all places."""
-    code, out, err = command(f"compare {SMALL} --match {match} --repeats 2 --out {tmp_path / 'out'}", *two_sheets(tmp_path))
+    code, out, err = command(f"compare {SMALL} --match {match} --out {tmp_path / 'out'}", *two_sheets(tmp_path))
     assert code == 0, err
-    words = f"with match {match} ("
+    words = f"with match {match}"
     verdicts = json.loads((tmp_path / "out/compare.json").read_text(encoding="utf-8"))["verdicts"]
     assert words in out.splitlines()[0]
     assert words in verdicts["noisy_one"]

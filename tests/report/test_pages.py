@@ -381,7 +381,7 @@ def test_compare_prints_answer(compared: tuple[Path, str]) -> None:
     found = json.loads((folder / "compare.json").read_text(encoding="utf-8"))
     lines = out.splitlines()
     answer = (
-        r"quiet is better than noisy_one by (\d\.\d+) ± (\d\.\d+) ΔE \(probability ([> ]*\.\d+)\) with match view \(one field\); "
+        r"quiet is better than noisy_one by (\d\.\d+) ± (\d\.\d+) ΔE \(probability ([> ]*\.\d+)\) with match view; "
         r"in the whole range of viewing by (.*) to (.*) ΔE"
     )
     size, error, probability, *ends = re.fullmatch(answer, lines[0]).groups()
@@ -434,7 +434,7 @@ def test_compare_of_three_ranks_them(tmp_path: Path) -> None:
     out = done(f"compare {SMALL.replace('256', '48')}", *two_sheets(tmp_path, 400.0), "--out", tmp_path / "out")
     (line,) = (line for line in out.splitlines() if line.startswith("ranking"))
     found = json.loads((tmp_path / "out/compare.json").read_text(encoding="utf-8"))
-    assert line == "ranking with match view (one field), the best first, all on one display: quiet; then noisy_one; then worst"
+    assert line == "ranking with match view, the best first, all on one display: quiet; then noisy_one; then worst"
     assert found["ranking"] == [["quiet"], ["noisy_one"], ["worst"]]
     assert list(found["pairs"]) == list(found["verdicts"]) == ["noisy_one", "worst"]
     page = " ".join(text_of(tmp_path / "out").split())

@@ -351,7 +351,7 @@ def test_ranking_separates_what_is_sure_under_all_viewings() -> None:
     without = of(ranges, left_out=1)
     assert without.ranking == (("a",), ("b", "c"))
     assert ranking_words(without, "own") == (
-        "ranking with match own (own lenses), the best first, all on one display: a; then b and c (whose order depends on the "
+        "ranking with match own, the best first, all on one display: a; then b and c (whose order depends on the "
         "viewing or is not sure)"
     )
 

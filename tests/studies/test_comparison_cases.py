@@ -49,7 +49,7 @@ def cases(axes: list[dict[str, Any]], signs: list[int]) -> ComparedCases:
     ],
 )
 def test_headline_says_where_which_is_better(axes: list[dict[str, Any]], signs: list[int], words: str) -> None:
-    assert cases(axes, signs).headline("b") == f"{words} with match lens (one lens)"
+    assert cases(axes, signs).headline("b") == f"{words} with match lens"
 
 
 def test_conditions_hold_at_each_value() -> None:
