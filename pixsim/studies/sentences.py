@@ -27,7 +27,7 @@ from pixsim.viewer.display_options import Display
 from pixsim.viewer.light_error import LightError
 from pixsim.viewer.metric_registry import metric_known
 from pixsim.viewer.metrics import DELTA_E
-from pixsim.viewer.raw_metrics import DETECTABILITY
+from pixsim.viewer.raw_metrics import DETECTABILITY, contrast_factor
 from pixsim.viewer.score import rounded_up
 
 if TYPE_CHECKING:
@@ -271,7 +271,7 @@ def judged_lines(result: RunResult) -> list[str]:
             continue
         low, high = result.interval(values, metric.columns[0]) or (mean, mean)
         value = with_error(mean, (high - low) / 2) if high > low else f"{mean:.4g}"
-        seen = _threshold_words(result, mean) if metric is DETECTABILITY and (mean or result.threshold) else ""
+        seen = _threshold_words(result, mean) if metric is DETECTABILITY else ""
         lines.append(f"{metric.words} {value} {metric.unit}".rstrip() + f", of the {metric.judges}{seen}")
     return lines
 
@@ -292,8 +292,13 @@ def _threshold_words(result: RunResult, d_prime: float) -> str:
     """Return at which part of its contrast a target is seen as well as the threshold asks; d′ grows with a small contrast."""
     if result.threshold is not None:
         return f"; {result.threshold.words}"
-    threshold = result.settings.metric.detectability.threshold
-    return f"; {threshold:g} is reached at {threshold / d_prime:.3g} times this contrast, where contrasts are small"
+    options = result.settings.metric.detectability
+    threshold = options.threshold
+    factor, reason = contrast_factor(result.chain, result.score.frame.integration_s, d_prime, options)
+    if not reason:
+        return f"; {threshold:g} is reached at {factor:.3g} times this contrast, where contrasts are small"
+    is_seen = d_prime >= threshold
+    return f"; no factor of its contrast leads to {threshold:g}: {reason}" if is_seen else f"; not seen: {reason}"
 
 
 def unsure_words(result: RunResult) -> list[str]:

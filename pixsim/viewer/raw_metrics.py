@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -14,27 +15,32 @@ from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
 from pixsim.base.errors import invalid
 from pixsim.sensor.integration import M2_PER_UM2, electrons_per_joule, split_by_veil
-from pixsim.sensor.noise import variance_e2
-from pixsim.sensor.photodiode import saturation_level_e
+from pixsim.sensor.noise import constant_e, variance_e2
+from pixsim.sensor.photodiode import responds_linearly, saturation_level_e, stored_signal_e
 from pixsim.viewer.display import white_cd_per_m2
 from pixsim.viewer.judges.information_density import folded_spectrum, information_bits_per_mm2, natural_spectrum, neq
 from pixsim.viewer.judges.interpretability import niirs, relative_edge_response
 from pixsim.viewer.judges.linear_observer import detectability
 from pixsim.viewer.judges.sharpness import mtf50
 from pixsim.viewer.judges.snr_illuminance import snr10_lx
+from pixsim.viewer.metric_options import NO_CONTRAST
 from pixsim.viewer.metrics import Metric, MetricContext, NoNumberError
 from pixsim.viewer.mtf import mtf_terms, of_sensor
 
 if TYPE_CHECKING:
     from pixsim.viewer.judged import Judged
-    from pixsim.viewer.metric_options import Information
+    from pixsim.viewer.metric_options import Detectability, Information
     from pixsim.viewer.score import ImagingChain
 
 LEAST_SIGMA_DN = 0.5  # below it quantisation is no noise, and no observer is linear in it
-FARTHEST = 1e12  # of d′, and of what a target lacks
+FARTHEST = 1e12  # of d′, and of the factor of a contrast that none makes visible
+RENDER_NOISE = 0.01  # of the mean signal: less light than none by so much is noise of a render
 COARSE_DN = 8.0  # deviation above which sums over codes are integrals within 1/(24 σ²), 7e-4
 FARTHEST_SIGMAS = 6.0  # from code 0, which cuts off no noise farther away
 CODE_POINTS = 1025  # of a table: a slope between two of them errs by 3e-3 of its change
+START_POINTS = 4097  # signals up to the end of the well, among which a table begins
+MOST_WELLS, WIDER = 64.0, 1.25  # largest signal of a table; by what it is made longer until pixels are full for sure
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)  # of a panel of up to 12 deviations: errors of 1e-7
 LEAST = 1e-9  # of deviations, in DN
 POINTS = 65  # frequencies on an axis of the Nyquist square
 ORDERS = 2  # of aliases
@@ -65,93 +71,261 @@ def clips(chain: ImagingChain, signal_e: Array, time_s: float) -> NDArray[np.boo
     return np.asarray(signal_e >= full_e(chain, time_s))
 
 
-class CodesOf0(NamedTuple):
-    """What becomes of signals near code 0, which cuts off their noise; electrons, (n,) each.
+class CodeTable(NamedTuple):
+    """Mean and variance of a frame's codes where the well, or an end of the codes, cuts off their noise, against the signal.
+
+    Electrons, (n,) each.
 
     signal_e : rising
     mean_e : expected codes less black level and dark charge
     variance_e2 : of a pixel alone, with its fixed pattern
-    slope : change of the mean with the signal, and with an offset
+    signal_slope : change of the mean with the signal
+    offset_slope : change of the mean with an offset behind the well, as those of rows and columns
+    low_e, high_e : signals from which on, and below which, the table holds
     """
 
     signal_e: Array
     mean_e: Array
     variance_e2: Array
-    slope: Array
-
-    def at(self, signal_e: Array, variance_e2: Array | float) -> list[Array]:
-        """Return mean, variance and slope at signals (...); beyond the last one they are the signal, `variance_e2` and 1."""
-        near, beyond = signal_e < self.signal_e[-1], (signal_e, variance_e2, 1.0)
-        known = (np.interp(signal_e, self.signal_e, each) for each in (self.mean_e, self.variance_e2, self.slope))
-        return [np.where(near, *pair) for pair in zip(known, beyond, strict=True)]
+    signal_slope: Array
+    offset_slope: Array
+    low_e: float
+    high_e: float
 
 
-def moments_of_codes(level_dn: Array, sigma_dn: Array) -> tuple[Array, Array, Array]:
+class CodeMoments(NamedTuple):
+    """Numbers of a `CodeTable` at signals (...), in their shape."""
+
+    mean_e: Array
+    variance_e2: Array
+    signal_slope: Array
+    offset_slope: Array
+
+
+def moments_of_codes(
+    level_dn: Array, sigma_dn: Array, top_dn: float = math.inf, *, coarse_dn: float = COARSE_DN
+) -> tuple[Array, Array, Array]:
     """Return mean and variance of the codes of normal levels, (n,) each, and the change of the mean with the level.
 
-    A code is the level rounded, 0 or more: its mean is Σ P(level > j - ½) over j = 1, 2, …, its mean square Σ (2j - 1) P, exactly.
-    The sums are integrals if the deviation is many codes.
+    A code is the level rounded, from 0 to the top code T: its mean is Σ P(level > j - ½) over j = 1 … T, its mean square
+    Σ (2j - 1) P, exactly. The sums are integrals if the deviation is many codes. Codes in the upper half are counted from T down.
+
+    coarse_dn : deviation above which sums are integrals; 0 where other noise has rounded the level's steps away
     """
-    reach = level_dn / sigma_dn
-    density = np.exp(-(reach**2) / 2) / math.sqrt(2 * math.pi)
-    mean, slope = level_dn * ndtr(reach) + sigma_dn * density, np.asarray(ndtr(reach))
-    square = (level_dn**2 + sigma_dn**2) * slope + level_dn * sigma_dn * density + slope / 12
-    fine = sigma_dn <= COARSE_DN
+    is_upper = level_dn > top_dn / 2
+    if is_upper.any():
+        level_dn = np.where(is_upper, top_dn - level_dn, level_dn)
+
+    mean, square, slope = _moments_above_0(level_dn, sigma_dn)
+    if (level_dn + FARTHEST_SIGMAS * sigma_dn).max() > top_dn:  # of few codes: the farther end too
+        beyond_mean, beyond_square, beyond_slope = _moments_above_0(level_dn - top_dn, sigma_dn)
+        mean = mean - beyond_mean
+        square = square - beyond_square - 2 * top_dn * beyond_mean
+        slope = slope - beyond_slope
+
+    fine = sigma_dn <= coarse_dn
     if fine.any():
         level, sigma = level_dn[fine, None], sigma_dn[fine, None]
-        j = np.arange(1.0, math.ceil(float((level + FARTHEST_SIGMAS * sigma).max())) + 1)
+        last = min(top_dn, math.ceil(float((level + FARTHEST_SIGMAS * sigma).max())))
+        j = np.arange(1.0, last + 1)
         away = (level - j + 0.5) / sigma
         above = ndtr(away)
         mean[fine], square[fine] = above.sum(axis=1), ((2 * j - 1) * above).sum(axis=1)
         slope[fine] = (np.exp(-(away**2) / 2) / (math.sqrt(2 * math.pi) * sigma)).sum(axis=1)
-    return mean, square - mean**2, slope
+    variance = square - mean**2
+    return np.where(is_upper, top_dn - mean, mean) if is_upper.any() else mean, variance, slope
 
 
-def codes_of_0(chain: ImagingChain, time_s: float, darkest_e: float) -> CodesOf0 | None:
-    """Return what becomes of signals near code 0; None if the noise of the darkest one does not reach it.
+def _moments_above_0(level_dn: Array, sigma_dn: Array) -> tuple[Array, Array, Array]:
+    """Return mean and mean square of normal levels that 0 cuts off, with the rounding above it, and the slope of the mean."""
+    reach = level_dn / sigma_dn
+    density = np.exp(-(reach**2) / 2) / math.sqrt(2 * math.pi)
+    slope = np.asarray(ndtr(reach))
+    mean = level_dn * slope + sigma_dn * density
+    square = (level_dn**2 + sigma_dn**2) * slope + level_dn * sigma_dn * density + slope / 12
+    return mean, square, slope
 
-    Each exposure of a burst is cut off by itself.
+
+class ClippedExposure:
+    """One exposure of a chain's frames, of pixels that all have the same mean signal.
+
+    It takes the noise of the charge, before the well, and that behind it as normal. Each exposure of a burst clips by itself.
     """
-    count, p = chain.physics.exposures, chain.physics.burst(1)
-    dark_e = p.dark_current_e_per_s * time_s / count
-    ground_e = dark_e + p.black_level_dn / p.dn_per_e  # above code 0, of no signal in an exposure
 
-    def variances_e2(signal_e: Array | float) -> tuple[Array, Array]:
-        """Return the variance of an exposure before it is rounded, and its part that all exposures share."""
-        fixed = variance_e2(p, light_e=signal_e, dark_e=dark_e, along="pixel", is_temporal=False)
-        return np.asarray(variance_e2(p, signal_e + dark_e + fixed, along="pixel", is_temporal=True)), np.asarray(fixed)
+    def __init__(self, chain: ImagingChain, time_s: float) -> None:
+        p = chain.physics.burst(1)
+        is_soft = p.diode is not None and p.pixel.well_limit != "swing"
+        self.count = chain.physics.exposures
+        self.time_s = time_s / self.count
+        self.physics = p
+        if not responds_linearly(p):  # frames are taken to respond linearly up to the well, as by `frame_mean_dn`
+            self.physics = replace(p, pixel=p.pixel.model_copy(update={"conversion": "linear"}))
+        self.dark_e = p.dark_current_e_per_s * self.time_s
+        self.black_e = p.black_level_dn / p.dn_per_e
+        self.top_e = p.top_code_dn / p.dn_per_e - self.black_e  # charge at the top code
+        self.well_e = saturation_level_e(self.time_s, p)
+        self.clip_e = math.inf if is_soft else p.full_well_e  # charge above which all charge is lost
+        self.offset_fpn_e2 = constant_e(p, is_temporal=False, along="pixel") ** 2
+        self.read_e2 = constant_e(p, is_temporal=True, along="pixel") ** 2 + self.offset_fpn_e2
 
-    def reach(signal_e: float) -> float:
-        return ground_e + signal_e - FARTHEST_SIGMAS * math.sqrt(variances_e2(signal_e)[0])
+    def gains_e2(self, signal_e: Array | float) -> Array:
+        """Return the variance of the charge by PRNU and DSNU, which all exposures share."""
+        fixed_e2 = variance_e2(self.physics, light_e=signal_e, dark_e=self.dark_e, along="pixel", is_temporal=False)
+        return np.asarray(fixed_e2 - self.offset_fpn_e2)
 
-    if reach(darkest_e / count) > 0:
+    def charge_e2(self, signal_e: Array | float) -> Array:
+        """Return the variance of the charge before the well."""
+        return np.asarray(signal_e + self.dark_e + self.gains_e2(signal_e))
+
+    def reaches_0(self, signal_e: float) -> bool:
+        """Return whether code 0 cuts off noise."""
+        sigma_e = math.sqrt(self.charge_e2(signal_e) + self.read_e2)
+        return self.black_e + self.dark_e + signal_e <= FARTHEST_SIGMAS * sigma_e
+
+    def reaches_top(self, signal_e: Array | float) -> NDArray[np.bool_]:
+        """Return whether the well or the top code cuts off noise."""
+        charge_e, charge_e2 = signal_e + self.dark_e, self.charge_e2(signal_e)
+        of_well = charge_e + FARTHEST_SIGMAS * np.sqrt(charge_e2) >= self.well_e
+        return np.asarray(of_well | (charge_e + FARTHEST_SIGMAS * np.sqrt(charge_e2 + self.read_e2) >= self.top_e))
+
+    def is_certain(self, signal_e: float) -> bool:
+        """Return whether the well, or the ADC, is full for sure."""
+        charge_e, charge_e2 = signal_e + self.dark_e, self.charge_e2(signal_e)
+        of_well = charge_e - FARTHEST_SIGMAS * math.sqrt(charge_e2) > self.clip_e
+        return of_well or charge_e - FARTHEST_SIGMAS * math.sqrt(charge_e2 + self.read_e2) > self.top_e
+
+    def moments(self, signal_e: Array) -> tuple[Array, Array, Array, Array]:
+        """Return mean charge that the codes tell, their variance in e-², and the slopes for the signal and for an offset, (n,) each."""
+        p = self.physics
+        charge_e, charge_e2 = signal_e + self.dark_e, self.charge_e2(signal_e)
+        is_filled = (charge_e + FARTHEST_SIGMAS * np.sqrt(charge_e2)).max() >= self.well_e
+        if is_filled and self.well_e < self.top_e + FARTHEST_SIGMAS * math.sqrt(self.read_e2):
+            mean_dn, variance_dn2, signal_slope, slope = self._moments_of_well(charge_e, np.sqrt(charge_e2))
+        else:
+            sigma_dn = np.maximum(p.dn_per_e * np.sqrt(charge_e2 + self.read_e2), LEAST)
+            level_dn = p.dn_per_e * (self.black_e + charge_e)
+            mean_dn, variance_dn2, slope = moments_of_codes(level_dn, sigma_dn, p.top_code_dn)
+            signal_slope = slope
+        return mean_dn / p.dn_per_e - self.black_e, variance_dn2 / p.dn_per_e**2, signal_slope, slope
+
+    def _moments_of_well(self, charge_e: Array, sigma_e: Array) -> tuple[Array, Array, Array, Array]:
+        """Return `moments` in DN of charges, (n,), with their deviation, by integrals over the charge before the well.
+
+        Full wells have one charge. Below it, panels end where the read noise begins to reach the top code.
+        """
+        p, read_e = self.physics, math.sqrt(self.read_e2)
+        full_at = np.clip((self.clip_e - charge_e) / sigma_e, -FARTHEST_SIGMAS, FARTHEST_SIGMAS)
+        ends_e = np.array([self.top_e - FARTHEST_SIGMAS * read_e, self.top_e + FARTHEST_SIGMAS * read_e])
+        ends_e = ends_e[ends_e < self.clip_e]
+        inner = np.clip((ends_e[:, None] - charge_e) / sigma_e, -FARTHEST_SIGMAS, full_at)
+        edges = np.stack([np.full(charge_e.shape, -FARTHEST_SIGMAS), *inner, full_at])
+
+        half = np.diff(edges, axis=0)[..., None] / 2
+        z = edges[:-1, :, None] + half * (1 + NODES)
+        weight = half * WEIGHTS * np.exp(-(z**2) / 2) / math.sqrt(2 * math.pi)
+        generated_e = np.maximum(charge_e[:, None] + sigma_e[:, None] * z, 0.0)
+        mean, variance, slope = self._read(stored_signal_e(generated_e, self.time_s, p).ravel(), coarse_dn=0.0)
+        mean, variance, slope = (values.reshape(z.shape) for values in (mean, variance, slope))
+
+        full = np.zeros(charge_e.shape) if math.isinf(self.clip_e) else ndtr(-full_at)
+        full_mean, full_variance, full_slope = self._read(np.array([min(self.clip_e, p.full_well_e)]), coarse_dn=COARSE_DN)
+        total = weight.sum(axis=(0, 2)) + full
+        mean_dn = ((weight * mean).sum(axis=(0, 2)) + full * full_mean) / total
+        mean, full_mean = mean - mean_dn[:, None], full_mean - mean_dn
+        variance_dn2 = ((weight * (variance + mean**2)).sum(axis=(0, 2)) + full * (full_variance + full_mean**2)) / total
+        offset_slope = ((weight * slope).sum(axis=(0, 2)) + full * full_slope) / total
+        # d/dµ of ∫ f(n) φ((n - µ)/σ) dn is ∫ f z φ dz / σ, and σ φ(z) of the full wells.
+        of_full = np.exp(-(full_at**2) / 2) / math.sqrt(2 * math.pi) * full_mean * (full > 0)
+        signal_slope = ((weight * z * mean).sum(axis=(0, 2)) + of_full) / total / (p.dn_per_e * sigma_e)
+        return mean_dn, variance_dn2, np.maximum(signal_slope, 0.0), offset_slope
+
+    def _read(self, stored_e: Array, coarse_dn: float) -> tuple[Array, Array, Array]:
+        """Return `moments_of_codes` of stored charges, (n,)."""
+        p = self.physics
+        sigma_dn = np.full(stored_e.shape, max(p.dn_per_e * math.sqrt(self.read_e2), LEAST))
+        return moments_of_codes(p.dn_per_e * (self.black_e + stored_e), sigma_dn, p.top_code_dn, coarse_dn=coarse_dn)
+
+    def table(self, signal_e: Array, low_e: float, high_e: float) -> CodeTable:
+        """Return the table of a frame for signals of an exposure, (n,), which holds from `low_e` to `high_e` of an exposure."""
+        mean_e, alone_e2, signal_slope, offset_slope = self.moments(signal_e)
+        # Between the exposures, to first order.
+        shared_e2 = signal_slope**2 * self.gains_e2(signal_e) + offset_slope**2 * self.offset_fpn_e2
+        count = self.count
+        variance_e2 = count * (alone_e2 + (count - 1) * shared_e2)
+        mean_e = count * (mean_e - self.dark_e)
+        return CodeTable(count * signal_e, mean_e, variance_e2, signal_slope, offset_slope, count * low_e, count * high_e)
+
+
+def bottom_table(chain: ImagingChain, time_s: float, darkest_e: float) -> CodeTable | None:
+    """Return the table of signals near code 0; None if the noise of the darkest one does not reach it."""
+    exposure = ClippedExposure(chain, time_s)
+    if not exposure.reaches_0(darkest_e / exposure.count):
         return None
 
-    def compute() -> CodesOf0:
+    def compute() -> CodeTable:
         # Shot noise and PRNU grow with the signal: twice as far until the noise no longer reaches code 0.
-        end_e, most_e = FARTHEST_SIGMAS * math.sqrt(variances_e2(0.0)[0]) or 1.0, full_e(chain, time_s) / count
-        while reach(end_e) < 0 and end_e < most_e:
+        end_e = FARTHEST_SIGMAS * math.sqrt(exposure.charge_e2(0.0) + exposure.read_e2) or 1.0
+        while exposure.reaches_0(end_e) and end_e < min(exposure.well_e, exposure.top_e):
             end_e *= 2
-        signal_e = np.linspace(0.0, end_e, CODE_POINTS)
-        whole_e2, fixed_e2 = variances_e2(signal_e)
-        level_dn, sigma_dn = p.dn_per_e * (ground_e + signal_e), np.maximum(p.dn_per_e * np.sqrt(whole_e2), LEAST)
-        mean_dn, variance_dn2, slope = moments_of_codes(level_dn, sigma_dn)
-        shared_e2 = (count - 1) * slope**2 * fixed_e2  # between the exposures, to first order
-        alone_e2 = variance_dn2 / p.dn_per_e**2
-        return CodesOf0(count * signal_e, count * (mean_dn / p.dn_per_e - ground_e), count * (alone_e2 + shared_e2), slope)
+        return exposure.table(np.linspace(0.0, end_e, CODE_POINTS), -math.inf, end_e)
 
-    return chain.facts.kept(("codes of 0", time_s, p.gain_db, count, *chain.pixel_key), compute)
+    return chain.facts.kept(("bottom codes", time_s, chain.physics.gain_db, exposure.count, *chain.pixel_key), compute)
+
+
+def top_table(chain: ImagingChain, time_s: float, brightest_e: float) -> CodeTable | None:
+    """Return the table of signals near the end of the well or of the codes; None if the noise of the brightest does not reach it."""
+    exposure = ClippedExposure(chain, time_s)
+    if not exposure.reaches_top(brightest_e / exposure.count):
+        return None
+
+    def compute() -> CodeTable:
+        full_e = max(min(exposure.well_e, exposure.top_e) - exposure.dark_e, 0.0)
+        below_e = np.linspace(0.0, full_e, START_POINTS)
+        start_e = float(below_e[max(int(np.argmax(exposure.reaches_top(below_e))) - 1, 0)])
+        width_e = max(full_e - start_e, 1.0)
+        most_e = MOST_WELLS * max(min(exposure.well_e, exposure.top_e), 1.0)
+        while not exposure.is_certain(full_e + width_e) and width_e < most_e:
+            width_e *= WIDER
+        half = CODE_POINTS // 2
+        beyond_e = full_e + width_e * np.linspace(0.0, 1.0, half + 1) ** 2  # denser near the end
+        signal_e = np.concatenate([np.linspace(start_e, full_e, half, endpoint=False), beyond_e])
+        table = exposure.table(signal_e, start_e, math.inf)
+        if exposure.is_certain(full_e + width_e):
+            table.signal_slope[-1] = 0.0
+        return table
+
+    return chain.facts.kept(("top codes", time_s, chain.physics.gain_db, exposure.count, *chain.pixel_key), compute)
+
+
+def code_tables(chain: ImagingChain, time_s: float, *signals_e: Array) -> list[CodeTable]:
+    """Return the tables of both ends that the noise of pictures reaches; none of them far from both."""
+    darkest_e = min(float(signal_e.min()) for signal_e in signals_e)
+    brightest_e = max(float(signal_e.max()) for signal_e in signals_e)
+    tables = bottom_table(chain, time_s, darkest_e), top_table(chain, time_s, brightest_e)
+    return [table for table in tables if table is not None]
+
+
+def code_moments(tables: Sequence[CodeTable], signal_e: Array, variance_e2: Array | float) -> CodeMoments:
+    """Return the moments of codes at signals (...); where no table holds, they are the signal, `variance_e2`, 1 and 1."""
+    moments = [signal_e, np.broadcast_to(variance_e2, signal_e.shape), np.ones(signal_e.shape), np.ones(signal_e.shape)]
+    for table in tables:
+        holds = (signal_e >= table.low_e) & (signal_e < table.high_e)
+        columns = table.mean_e, table.variance_e2, table.signal_slope, table.offset_slope
+        moments = [
+            np.where(holds, np.interp(signal_e, table.signal_e, column), values)
+            for column, values in zip(columns, moments, strict=True)
+        ]
+    return CodeMoments(*moments)
 
 
 def expected_e(chain: ImagingChain, signal_e: Array, time_s: float) -> Array:
     """Return the expected electrons of a frame, as the well and the codes clip them."""
-    near_0 = codes_of_0(chain, time_s, float(signal_e.min()))
-    expected = signal_e if near_0 is None else near_0.at(signal_e, 0.0)[0]
-    return np.minimum(expected, full_e(chain, time_s))
+    tables = code_tables(chain, time_s, signal_e)
+    return code_moments(tables, signal_e, 0.0).mean_e if tables else signal_e
 
 
 def _d_prime(chain: ImagingChain, time_s: float) -> float:
-    """Return d′ of the ideal linear observer in the frames of a chain."""
+    """Return d′ of the ideal linear observer in the frames of a chain: a signal-to-noise ratio, also where pixels clip."""
     assert chain.without_e_per_s is not None
     p, with_e, without_e = chain.physics, chain.signal_e_per_s * time_s, chain.without_e_per_s * time_s
     difference = with_e - without_e
@@ -166,24 +340,57 @@ def _d_prime(chain: ImagingChain, time_s: float) -> float:
         hint = "Take more bits (pixel.bits) or more gain (exposure.gain_db)."
         allowed = f"at least {LEAST_SIGMA_DN:g} DN, so that rounding is noise"
         raise NoNumberError(str(invalid("the metric detectability", got, allowed, hint)))
-    near_0 = codes_of_0(chain, time_s, min(float(with_e.min()), float(without_e.min())))
-    if near_0 is not None:
-        first, second = (near_0.at(each, variance) for each in (with_e, without_e))
-        _, variance, slope = np.add(first, second) / 2
-        # An offset of a row or a column comes through by the slope.
-        difference, variance = (first[0] - second[0]) / slope, variance / slope**2
-    for signal_e in (with_e, without_e):
-        if clips(chain, signal_e.max(), time_s):
-            variance[clips(chain, signal_e, time_s)] = np.inf
-    of_lines = [float(np.mean(variance_e2(p, along=along))) for along in ("column", "row")]
-    return detectability(difference, variance, column_variance=of_lines[0], row_variance=of_lines[1])
+    variances = {f"{along}_variance": float(np.mean(variance_e2(p, along=along))) for along in ("column", "row")}
+    tables = code_tables(chain, time_s, with_e, without_e)
+    if not tables:
+        return detectability(difference, variance, **variances)
+    with_target, background = (code_moments(tables, signal_e, variance) for signal_e in (with_e, without_e))
+    # A pixel with the same certain code in both pictures has no difference and no slope: it counts nothing.
+    variance = np.maximum((with_target.variance_e2 + background.variance_e2) / 2, (LEAST / p.dn_per_e) ** 2)
+    slopes = np.stack([with_target.offset_slope, background.offset_slope])
+    d_prime = detectability(with_target.mean_e - background.mean_e, variance, **variances, offset_slopes=slopes)
+    return min(d_prime, FARTHEST)
+
+
+def contrast_factor(chain: ImagingChain, time_s: float, d_prime: float, options: Detectability) -> tuple[float, str]:
+    """Return by what a target's contrast is multiplied for d′ to reach the threshold, and why there is no such factor.
+
+    d′ is proportional to a small contrast, where no picture clips. Without a factor it is `FARTHEST`; with one the reason is empty.
+    """
+    assert chain.without_e_per_s is not None
+    background_e = chain.without_e_per_s * time_s
+    difference_e = chain.signal_e_per_s * time_s - background_e
+    if not difference_e.any():
+        return FARTHEST, "the target changes no pixel"
+    if clips(chain, background_e.max(), time_s):
+        return FARTHEST, "pixels are full without the target"
+
+    factor = min(options.threshold / d_prime, FARTHEST) if d_prime else FARTHEST
+    lowest_e = float((background_e + factor * difference_e).min())
+    is_negative = lowest_e < -RENDER_NOISE * float(background_e.mean())
+    if is_negative or factor * stated_contrast(chain, options) < -1:
+        return FARTHEST, "a target cannot be darker than black"
+
+    # A target that is full now has a d′ from which no factor follows.
+    if clips(chain, (background_e + max(factor, 1.0) * difference_e).max(), time_s):
+        return FARTHEST, f"pixels are full with {'the target' if factor <= 1 else 'that much contrast'}"
+    return factor, ""
+
+
+def stated_contrast(chain: ImagingChain, options: Detectability) -> float:
+    """Return the contrast of a target that its scene states, where the light without it is that of no contrast; else 0."""
+    stated = chain.facts.mean.header.get("parameters", {}).get("contrast")
+    if stated is None or options.without != NO_CONTRAST:
+        return 0.0
+    return float(stated)
 
 
 def _detectability(judged: Judged) -> tuple[float, float, float]:
-    options = judged.options.detectability
+    options, chain = judged.options.detectability, judged.chain
     each = [_d_prime(chain, judged.time_s(chain)) for chain in judged.chains(options.registrations)]
     mean = float(np.mean(each))
-    return mean, min(each), min(options.threshold / mean, FARTHEST) if mean else FARTHEST
+    factor, _ = contrast_factor(chain, judged.frame.integration_s, mean, options)
+    return mean, min(each), factor
 
 
 def needs_target(asked: MetricContext) -> str:
@@ -316,42 +523,61 @@ def veiled(chain: ImagingChain) -> Veiled:
     return chain.facts.kept(("veil", *chain.pixel_key), compute)
 
 
-def level_e(chain: ImagingChain, mean_e: float, time_s: float) -> tuple[float, float]:
-    """Return the part of a mean level with which codes change, and the variance of a pixel at it, as code 0 leaves both."""
-    variance_e2 = variance_of_pixels_e2(chain, mean_e, time_s)
-    near_0 = codes_of_0(chain, time_s, mean_e)
-    if near_0 is None:
-        return mean_e, float(variance_e2)
-    _, variance_e2, slope = near_0.at(np.array(mean_e), variance_e2)
-    return float(slope) * mean_e, float(variance_e2)
+class MeanLevel(NamedTuple):
+    """Mean level of the pixels whose codes change with their light, which what clips does less.
+
+    share : of the sensor that those pixels are: (Σ s)²/(n Σ s²) of the slopes s at the well and the top code
+    signal_e : part of the level with which codes change
+    variance_e2 : of a pixel at the level, as the codes leave it
+    """
+
+    share: float
+    signal_e: float
+    variance_e2: float
+
+
+def mean_level(chain: ImagingChain, time_s: float) -> MeanLevel:
+    """Return the mean level of a frame, weighted with the slopes of its pixels; a share of 0 if all of them are full."""
+    signal_e = chain.signal_e_per_s * time_s
+    share, mean_e = 1.0, float(signal_e.ravel().mean())
+    top = top_table(chain, time_s, float(signal_e.max()))
+    if top is not None:
+        slope = code_moments([top], signal_e, 0.0).signal_slope
+        total = float(slope.sum())
+        if not total:
+            return MeanLevel(0.0, 0.0, math.inf)
+        share, mean_e = total**2 / (slope.size * float((slope**2).sum())), float((slope * signal_e).sum()) / total
+    level_e, variance_e2 = np.array(mean_e), variance_of_pixels_e2(chain, mean_e, time_s)
+    tables = code_tables(chain, time_s, level_e)
+    if not tables:
+        return MeanLevel(share, mean_e, float(variance_e2))
+    moments = code_moments(tables, level_e, variance_e2)
+    return MeanLevel(share, float(moments.signal_slope) * mean_e, float(moments.variance_e2))
 
 
 def _information(judged: Judged) -> tuple[float, float]:
-    """Return that of the mean level of the pixels that do not clip, for their share of the sensor."""
+    """Return the information in the mean level of the pixels that are not full, for their share of the sensor."""
     chain, time_s = judged.chain, judged.frame.integration_s
     axis, power, folded = scene_power(chain, judged.options.information)
-    signal_e = chain.signal_e_per_s * time_s
-    told = ~clips(chain, signal_e, time_s)
-    if not told.any():
+    share, mean_e, variance_e2 = mean_level(chain, time_s)
+    if not share:
         return 0.0, 0.0
-    mean_e, variance_e2 = level_e(chain, float(signal_e[told].mean()), time_s)
     if judged.options.information.spectrum == "natural":  # the scene's own picture has its veil
         mean_e *= 1 - veiled(chain).stray
     noise = variance_e2 * (1e-3 * chain.physics.read_pitch_um) ** 2
-    bits = float(told.mean()) * information_bits_per_mm2(axis, mean_e**2 * power, noise, mean_e**2 * folded)
+    bits = share * information_bits_per_mm2(axis, mean_e**2 * power, noise, mean_e**2 * folded)
     return bits, bits * (chain.facts.camera.image_distance_mm * math.radians(1.0)) ** 2
 
 
 def neq_along(chain: ImagingChain, time_s: float) -> tuple[Array, Array]:
     """Return frequencies along an axis up to Nyquist, in cycles/mm, and the NEQ of the mean level there, in mm⁻².
 
-    Signal, noise and MTF are those of the metric information, of the pixels that do not clip; NaN where all of them do.
+    Signal, noise and MTF are those of the metric information, of the pixels that are not full; NaN where all of them are.
     """
-    frequency, signal_e = np.linspace(0.0, 500.0 / chain.physics.read_pitch_um, POINTS), chain.signal_e_per_s * time_s
-    told = ~clips(chain, signal_e, time_s)
-    if not told.any():
+    frequency = np.linspace(0.0, 500.0 / chain.physics.read_pitch_um, POINTS)
+    share, mean_e, variance_e2 = mean_level(chain, time_s)
+    if not share:
         return frequency, np.full(POINTS, np.nan)
-    mean_e, variance_e2 = level_e(chain, float(signal_e[told].mean()), time_s)
     noise = variance_e2 * (1e-3 * chain.physics.read_pitch_um) ** 2
     return frequency, neq(np.abs(sensor_mtf(chain, frequency, np.zeros(1))), noise, mean_e * (1 - veiled(chain).stray))
 

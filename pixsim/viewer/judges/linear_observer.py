@@ -9,6 +9,10 @@ a sum without cancellation, in which errors of the offsets count squared only. F
 conjugate gradients on the smaller axis, without a matrix of the pixels, and without BLAS, whose rounding depends on the number of
 threads.
 
+Where codes clip, an offset comes through by a slope s, which differs between the pictures with and without the target. The mean of
+both covariances, σ² (s₁s₁ᵀ + s₂s₂ᵀ)/2, is σ² (mmᵀ + hhᵀ) with m = (s₁ + s₂)/2 and h = (s₁ - s₂)/2: two offsets a line, with the
+gains m and h.
+
 H. H. Barrett & K. J. Myers, Foundations of Image Science (2004), 13.2.12.
 """
 
@@ -19,7 +23,7 @@ from typing import Annotated
 
 import numpy as np
 
-from pixsim.base.arguments import FINITE, LARGEST, Axes, Bounds, NotNegative, checks_arguments
+from pixsim.base.arguments import FINITE, LARGEST, NOT_NEGATIVE, Axes, Bounds, NotNegative, checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 
@@ -28,21 +32,28 @@ RESIDUAL = 1e-26  # of d′², at which they end; what is lost is of that order
 
 Difference = Annotated[Array, FINITE, Axes(2)]
 Variance = Annotated[Array, Bounds(0, open_low=True, infinite=True)]
+Slopes = Annotated[Array, NOT_NEGATIVE]
 
 
 @checks_arguments
 def detectability(
-    difference: Difference, variance: Variance, *, column_variance: NotNegative = 0.0, row_variance: NotNegative = 0.0
+    difference: Difference,
+    variance: Variance,
+    *,
+    column_variance: NotNegative = 0.0,
+    row_variance: NotNegative = 0.0,
+    offset_slopes: Slopes | None = None,
 ) -> float:
-    """Return d′ = √(Δᵀ K⁻¹ Δ), the ratio of a target's signal to its noise for the ideal linear observer.
+    """Return d′ = √(Δᵀ K⁻¹ Δ), the signal-to-noise ratio of the best linear observer of a target.
 
-    Two alternatives, with and without the target, are told apart in Φ(d′/√2) of all pairs of frames. Rose (1948) takes 5 as seen.
-    It is exact for any variances. Barrett & Myers (2004), 13.2.12.
+    For normal noise two alternatives, with and without the target, are told apart in Φ(d′/√2) of all pairs of frames. Other noise,
+    as that of pixels that clip, has the same ratio, but not that share. Rose (1948) takes 5 as seen. It is exact for any variances.
+    Barrett & Myers (2004), 13.2.12.
 
     difference : (rows, columns) expected signal with the target less that without it, in one unit, such as DN
-    variance : (rows, columns), or a number, of each pixel on its own, in the unit squared; inf for pixels that count nothing,
-        as those that clip
+    variance : (rows, columns), or a number, of each pixel on its own, in the unit squared; inf for pixels that count nothing
     column_variance, row_variance : of an offset that all pixels of a column, or a row, share, in the unit squared
+    offset_slopes : (2, rows, columns) change of the expected signal with such an offset, with and without the target; None: 1
 
     Raises PixsimError if a variance is not positive, or the shapes differ.
 
@@ -53,53 +64,90 @@ def detectability(
     """
     if variance.shape not in ((), difference.shape):
         raise invalid("variance", f"an array of shape {variance.shape}", f"that of difference, {difference.shape}, or a number")
+    if offset_slopes is not None and offset_slopes.shape != (2, *difference.shape):
+        allowed = f"two of the shape of difference, {(2, *difference.shape)}"
+        raise invalid("offset_slopes", f"an array of shape {offset_slopes.shape}", allowed)
     largest, smallest = float(np.abs(difference).max()), float(variance.min())
     if not largest or not smallest < math.inf:
         return 0.0
     delta = np.divide(difference, largest, dtype=float)
     weight = np.broadcast_to(np.divide(smallest, variance, dtype=float), delta.shape)
+    gains = np.ones((1, 1, 1)) if offset_slopes is None else _gains(*offset_slopes)
     # 1 / variance of the offsets, in the unit of the smallest variance
     of_columns, of_rows = (smallest / each if each > smallest / LARGEST else math.inf for each in (column_variance, row_variance))
     if delta.shape[0] > delta.shape[1]:  # offsets of the rows are solved for, which then are fewer
-        delta, weight, of_columns, of_rows = delta.T, weight.T, of_rows, of_columns
-    return largest / math.sqrt(smallest) * math.sqrt(_squared(delta, weight, of_columns, of_rows))
+        delta, weight, gains = delta.T, weight.T, gains.transpose(0, 2, 1)
+        of_columns, of_rows = of_rows, of_columns
+    return largest / math.sqrt(smallest) * math.sqrt(_squared(delta, weight, gains, of_columns, of_rows))
 
 
-def _squared(delta: Array, weight: Array, of_columns: float, of_rows: float) -> float:
-    """Return d′² for weights up to 1, and the reciprocals of the variances of columns and rows."""
-    rows = np.zeros(delta.shape[0])
-    columns = _columns(delta, weight, of_columns)
+def _gains(slopes: Array, background_slopes: Array) -> Array:
+    """Return the gains m and h of the module, (2, rows, columns), for slopes with and without a target; m alone if they agree."""
+    mean, half = (slopes + background_slopes) / 2, (slopes - background_slopes) / 2
+    return np.stack([mean, half] if half.any() else [mean])
+
+
+def _squared(delta: Array, weight: Array, gains: Array, of_columns: float, of_rows: float) -> float:
+    """Return d′² for weights up to 1, and the reciprocals of the variances of columns and rows.
+
+    delta, weight : (rows, columns)
+    gains : (n, rows, columns), or (1, 1, 1), with which the n offsets of a line come through
+    """
+    weighted = weight * gains
+    count = len(weighted)
+    rows = np.zeros(weighted.shape[:2])
+    columns = _columns(delta, weighted, gains, of_columns)
     if of_rows < math.inf:
-        diagonal = weight.sum(axis=1) + of_rows
-        rest = (weight * (delta - columns)).sum(axis=1)  # minus half of the gradient at 0
+        normal = (weighted[:, None] * gains).sum(axis=3)  # (n, n, rows)
+        normal[range(count), range(count)] += of_rows
+        diagonal = normal[range(count), range(count)]
+        rest = (weighted * (delta - _through(columns[:, None], gains))).sum(axis=2)  # minus half of the gradient at 0
         along = step = rest / diagonal
         size = float((rest * step).sum())
         enough = RESIDUAL * float((weight * delta**2).sum())
         for _ in range(STEPS_PER_OFFSET * rows.size):
             if size <= enough:
                 break
-            image = diagonal * along - (weight * _columns(along[:, None], weight, of_columns)).sum(axis=1)
+            fitted = _columns(_through(along[..., None], gains), weighted, gains, of_columns)
+            image = (normal * along).sum(axis=1) - (weighted * _through(fitted[:, None], gains)).sum(axis=2)
             length = size / float((along * image).sum())
             rows += length * along
             rest = rest - length * image
             step = rest / diagonal
             size, before = float((rest * step).sum()), size
             along = step + size / before * along
-        columns = _columns(delta - rows[:, None], weight, of_columns)
+        columns = _columns(delta - _through(rows[..., None], gains), weighted, gains, of_columns)
     penalty = sum(
         reciprocal * float((offsets**2).sum())
         for reciprocal, offsets in ((of_columns, columns), (of_rows, rows))
         if reciprocal < math.inf
     )
-    left = delta - columns
-    left -= rows[:, None]
+    left = delta - _through(columns[:, None], gains)
+    left -= _through(rows[..., None], gains)
     left *= left
     left *= weight
     return float(left.sum()) + penalty
 
 
-def _columns(delta: Array, weight: Array, of_columns: float) -> Array:
-    """Return the best offsets of columns for a difference (rows, columns) or (rows, 1), (columns,); 0 if there are none."""
+def _through(offsets: Array, gains: Array) -> Array:
+    """Return what offsets, (n, 1, columns) or (n, rows, 1), make of the pixels by their gains; it broadcasts to (rows, columns)."""
+    return np.asarray((offsets * gains).sum(axis=0))
+
+
+def _columns(delta: Array, weighted: Array, gains: Array, of_columns: float) -> Array:
+    """Return the best offsets of columns for a difference (rows, columns), (n, columns); 0 if there are none.
+
+    weighted : the gains, (n, rows, columns), times the weights of the pixels
+    """
+    count, _, size = weighted.shape
     if of_columns == math.inf:
-        return np.zeros(weight.shape[1])
-    return np.asarray((weight * delta).sum(axis=0) / (weight.sum(axis=0) + of_columns))
+        return np.zeros((count, size))
+    right = (weighted * delta).sum(axis=1)
+    normal = (weighted[:, None] * gains).sum(axis=2)  # (n, n, columns)
+    normal[range(count), range(count)] += of_columns
+    if count == 1:
+        return np.asarray(right / normal[0])
+    # Cramer's rule: the penalty keeps the determinant away from 0.
+    (first, mixed), (_, second) = normal
+    determinant = first * second - mixed**2
+    return np.stack([second * right[0] - mixed * right[1], first * right[1] - mixed * right[0]]) / determinant
