@@ -195,7 +195,7 @@ class ClippedExposure:
         return of_well or charge_e - FARTHEST_SIGMAS * math.sqrt(charge_e2 + self.read_e2) > self.top_e
 
     def moments(self, signal_e: Array) -> tuple[Array, Array, Array, Array]:
-        """Return mean charge that the codes tell, their variance in e-², and the slopes for the signal and for an offset, (n,) each."""
+        """Return the mean of the codes as charge, their variance in e-², and its slopes for the signal and an offset, (n,) each."""
         p = self.physics
         charge_e, charge_e2 = signal_e + self.dark_e, self.charge_e2(signal_e)
         is_filled = (charge_e + FARTHEST_SIGMAS * np.sqrt(charge_e2)).max() >= self.well_e
@@ -273,7 +273,7 @@ def bottom_table(chain: ImagingChain, time_s: float, darkest_e: float) -> CodeTa
 
 
 def top_table(chain: ImagingChain, time_s: float, brightest_e: float) -> CodeTable | None:
-    """Return the table of signals near the end of the well or of the codes; None if the noise of the brightest does not reach it."""
+    """Return the table of signals near the full well or the top code; None if the noise of the brightest does not reach either."""
     exposure = ClippedExposure(chain, time_s)
     if not exposure.reaches_top(brightest_e / exposure.count):
         return None

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.optimize
 from helpers.commands import command
 from helpers.tiny import rows, tiny
 
@@ -28,6 +29,7 @@ from pixsim.studies.quanta import quanta_of_study
 from pixsim.studies.result import Curve, StudyResult, fit_of_metric, shown_mean_and_ci95, told_pitches
 from pixsim.studies.settings_text import settings_text
 from pixsim.studies.study_file import load_study
+from pixsim.studies.threshold import MOST_RENDERS, Search, Threshold
 from pixsim.viewer.metric_options import MetricOptions
 from pixsim.viewer.metric_registry import METRICS, metrics_named
 from pixsim.viewer.metrics import DELTA_E
@@ -253,13 +255,86 @@ def test_command_says_at_which_value_a_target_is_seen_or_that_it_is_at_none(tmp_
     code, out, err = command(f"{line} --out {tmp_path / 'lux'}")
     assert code == 0, err
     value = json.loads((tmp_path / "lux" / "score.json").read_text())["at_threshold"]["value"]
-    assert f"10 is reached at lux = {value:.4g}" in out
+    assert f"10 is reached at lux of {value:.4g} to " in out
     assert d_prime_at("lux", value) == pytest.approx(10.0, rel=3e-3)
     sought = {"detectability": {"solve_for": "contrast", "threshold": 1000.0, "registrations": 2}}
     found = pixsim.run("target", parameters=TARGET, metric=sought, **SMALL)
     assert found.threshold.value is None
     assert "1000 is not reached at contrast of -" in repr(found)
     assert "contrast" in repr(found).split("1000 is not reached")[1]
+
+
+WELL_LX = 1500.0
+
+
+def excess_of_light(lux: float, most: float = 1.0) -> float:
+    """Logarithm of a d′ over 5 that rises as the root of the light, through 1 at 12 lx, and falls where pixels are full."""
+    return math.log(max(most * math.sqrt(lux / 12.0) / (1 + (lux / WELL_LX) ** 12), 1e-6))
+
+
+@pytest.mark.parametrize("start", [1e-3, 1.0, 12.0, 100.0, 1400.0, 1700.0, 3000.0, 1e5, 1e7])
+def test_search_finds_both_ends_of_the_light_in_which_a_target_is_seen(start: float) -> None:
+    """From the dark, from between and from beyond: 12 lx, and where (1 + (E/1500)¹²)² is E/12, 1837.4 lx; both within 1e-3."""
+    upper = scipy.optimize.brentq(excess_of_light, WELL_LX, 3 * WELL_LX)
+    calls: list[float] = []
+
+    def function(away: float) -> float:
+        calls.append(away)
+        return excess_of_light(start * math.exp(away))
+
+    low, high = Search(function, {0.0: excess_of_light(start)}).seen()
+    assert low is not None
+    assert high is not None
+    assert start * math.exp(low) == pytest.approx(12.0, rel=2e-3)
+    assert start * math.exp(high) == pytest.approx(upper, rel=2e-3)
+    assert len(calls) <= MOST_RENDERS
+
+
+@pytest.mark.parametrize("start", [1.0, 100.0, 1400.0, 1e5])
+def test_search_comes_near_the_maximum_of_what_is_seen_nowhere(start: float) -> None:
+    search = Search(lambda away: excess_of_light(start * math.exp(away), 0.08), {0.0: excess_of_light(start, 0.08)})
+    assert search.seen() == (None, None)
+    most = max(excess_of_light(lux, 0.08) for lux in np.geomspace(100.0, 3000.0, 1000))
+    assert most - 0.1 < search.at[search.best] <= most + 1e-9, "10 % of d′"
+
+
+def test_words_of_a_threshold_name_the_range_that_was_found() -> None:
+    tried = (1.0, 8.0)
+    for value, upper_value, words in (
+        (12.0, None, "5 is reached at lux = 12"),
+        (12.0, 1837.0, "5 is reached at lux of 12 to 1837"),
+        (None, 1837.0, "5 is reached at lux up to 1837"),
+        (None, None, "5 is not reached at lux of 1 to 8: d′ is at most 4, at 3"),
+    ):
+        threshold = Threshold("lux", 5.0, value, tried, "d′ is at most 4, at 3" if value == upper_value else "", upper_value)
+        assert threshold.words == words
+
+
+@pytest.mark.parametrize("lux", [4000.0, 1e5])
+def test_run_finds_the_light_from_which_on_a_target_is_seen_where_pixels_are_full(lux: float) -> None:
+    """From 4000 lx, where it is seen, and from 1e5 lx, where all pixels are full: too dark below, too bright above."""
+    options = {"detectability": {"solve_for": "lux", "registrations": 2}}
+    found = pixsim.run("target", parameters=TARGET | {"lux": lux}, metric=options, **SMALL)
+    for value in (found.threshold.value, found.threshold.upper_value):
+        assert d_prime_at("lux", value) == pytest.approx(5.0, rel=3e-2)
+    assert 50.0 < found.threshold.value < 200.0
+    assert found.threshold.upper_value > 1e4
+    assert found.as_dict()["at_threshold"]["upper_value"] == found.threshold.upper_value
+
+
+@pytest.mark.parametrize(
+    ("parameters", "words"),
+    [
+        ({}, "; 5 is reached at 2.06 times this contrast, where contrasts are small"),
+        ({"lux": 5}, "; not seen: a target cannot be darker than black"),
+        ({"lux": 1e5}, "d′ 0, of the raw frame; not seen: pixels are full without the target"),
+    ],
+)
+def test_run_says_by_which_factor_of_its_contrast_a_target_is_seen_or_why_it_is_not(
+    parameters: dict[str, float], words: str
+) -> None:
+    metric = {"detectability": {"registrations": 2}}
+    assert words in repr(pixsim.run("target", parameters=TARGET | parameters, metric=metric, **SMALL))
 
 
 def test_search_for_a_threshold_starts_from_a_number() -> None:
@@ -355,7 +430,7 @@ def test_nothing_is_left_of_a_judge_at_a_size_where_it_sees_nothing() -> None:
 
 @pytest.mark.parametrize(
     ("integration_s", "bits", "silent", "reason"),
-    [(0.33, 8, [11.0, 15.0], "detectability d′ is 0 or below"), (0.1, 7, [5.3], "has no number at 5.3 µm.*noise of 0.43 DN")],
+    [(0.37, 8, [11.0, 15.0], "detectability d′ is 0 or below"), (0.1, 7, [5.3], "has no number at 5.3 µm.*noise of 0.43 DN")],
     ids=["saturated", "rounded"],
 )
 def test_size_at_which_the_first_metric_fails_does_not_end_a_study(

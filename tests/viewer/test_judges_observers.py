@@ -39,6 +39,21 @@ def test_detectability_equals_dense_covariance(shape, of_column, of_row):
     )
 
 
+@pytest.mark.parametrize(("shape", "of_column", "of_row"), [((12, 9), 2.0, 0.0), ((12, 9), 0.0, 2.0), ((9, 12), 2.0, 0.5)])
+def test_offsets_that_come_through_by_slopes_equal_the_mean_of_dense_covariances(shape, of_column, of_row):
+    """Slopes from 0 to 1 that differ between the pictures, also of pixels without any."""
+    difference, variance = sample(shape)
+    slopes = np.random.default_rng(7).uniform(0.0, 1.0, (2, *shape))
+    slopes[:, 2:4] = 0.0
+    line = covariance(np.zeros(shape), of_column, of_row)
+    whole = np.diag(variance.ravel()) + sum(line * np.outer(slope, slope) for slope in slopes.reshape(2, -1)) / 2
+    expected = math.sqrt(difference.ravel() @ np.linalg.solve(whole, difference.ravel()))
+    offsets = {"column_variance": of_column, "row_variance": of_row}
+    assert metrics.detectability(difference, variance, **offsets, offset_slopes=slopes) == pytest.approx(expected, rel=1e-10)
+    even = metrics.detectability(difference, variance, **offsets, offset_slopes=np.ones((2, *shape)))
+    assert even == metrics.detectability(difference, variance, **offsets)
+
+
 @pytest.mark.parametrize(("of_column", "of_row"), [(1e6, 0.0), (1e12, 1e-3), (1e12, 1e6), (1e12, 1e12)])
 def test_detectability_with_offsets_far_above_the_noise_equals_rational_numbers(of_column, of_row):
     """Floating point could not invert this covariance: elimination in fractions, which rounds nothing."""
@@ -125,6 +140,8 @@ def test_forced_choice_by_the_true_likelihood_ratio(wanted):
     ({"difference": np.full((3, 4), np.inf)}, "difference: got inf"),
     ({"difference": np.ones(4)}, "difference: got an array of shape .* with 2 axes"),
     ({"column_variance": -1.0}, "column_variance: got -1.0"),
+    ({"offset_slopes": np.ones((3, 4))}, r"offset_slopes: got an array of shape \(3, 4\); allowed: two .*\(2, 3, 4\)"),
+    ({"offset_slopes": np.full((2, 3, 4), -1.0)}, "offset_slopes: got -1.0"),
 ])  # fmt: skip
 def test_detectability_invalid_arguments_raise(arguments, message):
     with pytest.raises(PixsimError, match=message):

@@ -227,23 +227,26 @@ ENDS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("exposures", [1, 4])
+SOFT_WELL = {"technology": "0.35um", "well_limit": "diode", "fill_factor": None, "pitch_um": 6.0, "full_well_e": None}
+
+
 @pytest.mark.parametrize(
-    "own",
+    ("own", "exposures"),
     [
-        *ENDS.values(),
-        {"bits": 7, "black_level_dn": 4.0},
-        {"bits": 16, "prnu": 0.02},
-        {"read_noise_e": 40.0, "offset_fpn": 0.01, "prnu": 0.02},
-        {"technology": "0.35um", "well_limit": "diode", "fill_factor": None, "pitch_um": 6.0, "full_well_e": None},
+        *((own, 1) for own in ENDS.values()),
+        (ENDS["well"], 4),
+        ({"bits": 7, "black_level_dn": 4.0}, 1),
+        ({"bits": 16, "prnu": 0.02}, 1),
+        ({"read_noise_e": 40.0, "offset_fpn": 0.01, "prnu": 0.02}, 1),
+        (SOFT_WELL, 1),
     ],
-    ids=[*ENDS, "few bits", "fine codes", "noisy", "soft well"],
+    ids=[*ENDS, "burst", "few bits", "fine codes", "noisy", "soft well"],
 )
 def test_codes_near_the_top_have_the_mean_and_variance_of_frames(own: dict[str, Any], exposures: int) -> None:
     """From 90 to 110 % of the end: of the well, of the ADC, of both, of a well that is a diode; of a burst of 4, too.
 
-    Means within 4 standard errors of 360 000 pixels (6e-5 of seeds), or 0.5 % of the noise, and variances within 2 %: both for the
-    skewness of 2000 electrons, 2 %, which a normal charge does not have.
+    Means within 4 standard errors of 360 000 pixels (6e-5 of seeds) and 0.5 % of the noise, variances within 5 % or 0.1 % of that
+    without the ends: both for the skewness of 2000 electrons, 2 %, which a normal charge does not have.
     """
     update = SMALL_WELL | own
     chain, rng = chain_of(EVEN, PIXEL.model_copy(update=update)), np.random.default_rng(45)
@@ -258,10 +261,8 @@ def test_codes_near_the_top_have_the_mean_and_variance_of_frames(own: dict[str, 
         frame_e = (frame_dn - chain.physics.black_level_dn) / chain.physics.dn_per_e - dark_e
         before_e2 = variance_of_pixels_e2(chain, signal_e, 0.02)
         mean, variance, *_ = (float(values) for values in code_moments([table], np.array(signal_e), before_e2))
-        lsb_e2 = exposures * chain.physics.dn_per_e**-2
-        # What is left of the noise may be less than a code, which then decides.
         assert frame_e.mean() == pytest.approx(mean, abs=(4 / 600 + 5e-3) * math.sqrt(before_e2))
-        assert frame_e.var() == pytest.approx(variance, rel=0.02, abs=1e-3 * (before_e2 + lsb_e2))
+        assert frame_e.var() == pytest.approx(variance, rel=0.05, abs=1e-3 * before_e2)
 
 
 @pytest.mark.parametrize("of_end", [0.9, 0.99, 1.01, 1.03])
@@ -348,9 +349,9 @@ def test_information_and_quanta_do_not_jump_at_the_end_of_the_well() -> None:
     [
         (-0.05, 1.0, 5.0, ""),
         (0.05, 1.0, 5.0, ""),
-        (-0.05, 1.0, 900.0, "a target cannot be darker than black"),
-        (0.05, 1.0, 900.0, "pixels are full with that much contrast"),
-        (1.0, 200.0, 5.0, "pixels are full with the target"),
+        (-0.001, 0.3, 1000.0, "a target cannot be darker than black"),
+        (0.001, 18.0, 1000.0, "pixels are full with that much contrast"),
+        (1.0, 15.0, 5.0, "pixels are full with the target"),
         (-0.05, 400.0, 5.0, "pixels are full without the target"),
         (0.0, 1.0, 5.0, "the target changes no pixel"),
     ],
