@@ -340,15 +340,21 @@ def _d_prime(chain: ImagingChain, time_s: float) -> float:
         hint = "Take more bits (pixel.bits) or more gain (exposure.gain_db)."
         allowed = f"at least {LEAST_SIGMA_DN:g} DN, so that rounding is noise"
         raise NoNumberError(str(invalid("the metric detectability", got, allowed, hint)))
-    variances = {f"{along}_variance": float(np.mean(variance_e2(p, along=along))) for along in ("column", "row")}
+    column_variance, row_variance = (float(np.mean(variance_e2(p, along=along))) for along in ("column", "row"))
     tables = code_tables(chain, time_s, with_e, without_e)
     if not tables:
-        return detectability(difference, variance, **variances)
+        return detectability(difference, variance, column_variance=column_variance, row_variance=row_variance)
+
     with_target, background = (code_moments(tables, signal_e, variance) for signal_e in (with_e, without_e))
     # A pixel with the same certain code in both pictures has no difference and no slope: it counts nothing.
     variance = np.maximum((with_target.variance_e2 + background.variance_e2) / 2, (LEAST / p.dn_per_e) ** 2)
-    slopes = np.stack([with_target.offset_slope, background.offset_slope])
-    d_prime = detectability(with_target.mean_e - background.mean_e, variance, **variances, offset_slopes=slopes)
+    d_prime = detectability(
+        with_target.mean_e - background.mean_e,
+        variance,
+        column_variance=column_variance,
+        row_variance=row_variance,
+        offset_slopes=np.stack([with_target.offset_slope, background.offset_slope]),
+    )
     return min(d_prime, FARTHEST)
 
 
