@@ -171,7 +171,7 @@ class ClippedExposure:
     def gains_e2(self, signal_e: Array | float) -> Array:
         """Return the variance of the charge by PRNU and DSNU, which all exposures share."""
         fixed_e2 = variance_e2(self.physics, light_e=signal_e, dark_e=self.dark_e, along="pixel", is_temporal=False)
-        return np.asarray(fixed_e2 - self.offset_fpn_e2)
+        return np.maximum(fixed_e2 - self.offset_fpn_e2, 0.0)
 
     def charge_e2(self, signal_e: Array | float) -> Array:
         """Return the variance of the charge before the well."""
@@ -194,10 +194,14 @@ class ClippedExposure:
         of_well = charge_e - FARTHEST_SIGMAS * math.sqrt(charge_e2) > self.clip_e
         return of_well or charge_e - FARTHEST_SIGMAS * math.sqrt(charge_e2 + self.read_e2) > self.top_e
 
-    def moments(self, signal_e: Array) -> tuple[Array, Array, Array, Array]:
-        """Return the mean of the codes as charge, their variance in e-², and its slopes for the signal and an offset, (n,) each."""
+    def moments(self, signal_e: Array, *, with_gains: bool = True) -> tuple[Array, Array, Array, Array]:
+        """Return the mean of the codes as charge, their variance in e-², and its slopes for the signal and an offset, (n,) each.
+
+        with_gains : whether PRNU and DSNU are among the noise
+        """
         p = self.physics
-        charge_e, charge_e2 = signal_e + self.dark_e, self.charge_e2(signal_e)
+        charge_e = signal_e + self.dark_e
+        charge_e2 = self.charge_e2(signal_e) if with_gains else charge_e
         is_filled = (charge_e + FARTHEST_SIGMAS * np.sqrt(charge_e2)).max() >= self.well_e
         if is_filled and self.well_e < self.top_e + FARTHEST_SIGMAS * math.sqrt(self.read_e2):
             mean_dn, variance_dn2, signal_slope, slope = self._moments_of_well(charge_e, np.sqrt(charge_e2))
@@ -245,12 +249,29 @@ class ClippedExposure:
         sigma_dn = np.full(stored_e.shape, max(p.dn_per_e * math.sqrt(self.read_e2), LEAST))
         return moments_of_codes(p.dn_per_e * (self.black_e + stored_e), sigma_dn, p.top_code_dn, coarse_dn=coarse_dn)
 
+    def shared_e2(self, signal_e: Array, offset_slope: Array) -> Array:
+        """Return the covariance of two exposures of a pixel, (n,): the variance over its gain of the mean, and offset FPN.
+
+        Offset FPN counts to first order.
+        """
+        spread_e = np.sqrt(self.gains_e2(signal_e))
+        steps = np.linspace(-FARTHEST_SIGMAS, 0.0, 64, endpoint=False)
+        shifted_e = np.concatenate([
+            np.maximum(signal_e[0] + spread_e[0] * steps, 0.0), signal_e, signal_e[-1] - spread_e[-1] * steps[::-1]
+        ])  # fmt: skip
+        mean_e = self.moments(shifted_e, with_gains=False)[0]
+        at_e = signal_e[:, None] + spread_e[:, None] * FARTHEST_SIGMAS * NODES
+        weight = WEIGHTS * np.exp(-((FARTHEST_SIGMAS * NODES) ** 2) / 2)
+        weight /= weight.sum()
+        means_e = np.interp(at_e, shifted_e, mean_e)
+        away_e = means_e - (weight * means_e).sum(axis=1, keepdims=True)
+        return np.asarray((weight * away_e**2).sum(axis=1) + offset_slope**2 * self.offset_fpn_e2)
+
     def table(self, signal_e: Array, low_e: float, high_e: float) -> CodeTable:
         """Return the table of a frame for signals of an exposure, (n,), which holds from `low_e` to `high_e` of an exposure."""
         mean_e, alone_e2, signal_slope, offset_slope = self.moments(signal_e)
-        # Between the exposures, to first order.
-        shared_e2 = signal_slope**2 * self.gains_e2(signal_e) + offset_slope**2 * self.offset_fpn_e2
         count = self.count
+        shared_e2 = self.shared_e2(signal_e, offset_slope) if count > 1 else 0.0
         variance_e2 = count * (alone_e2 + (count - 1) * shared_e2)
         mean_e = count * (mean_e - self.dark_e)
         return CodeTable(count * signal_e, mean_e, variance_e2, signal_slope, offset_slope, count * low_e, count * high_e)

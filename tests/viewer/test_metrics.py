@@ -239,8 +239,9 @@ SOFT_WELL = {"technology": "0.35um", "well_limit": "diode", "fill_factor": None,
         ({"bits": 16, "prnu": 0.02}, 1),
         ({"read_noise_e": 40.0, "offset_fpn": 0.01, "prnu": 0.02}, 1),
         (SOFT_WELL, 1),
+        ({"bits": 16, "prnu": 0.02}, 4),
     ],
-    ids=[*ENDS, "burst", "few bits", "fine codes", "noisy", "soft well"],
+    ids=[*ENDS, "burst", "few bits", "fine codes", "noisy", "soft well", "burst with PRNU"],
 )
 def test_codes_near_the_top_have_the_mean_and_variance_of_frames(own: dict[str, Any], exposures: int) -> None:
     """From 90 to 110 % of the end: of the well, of the ADC, of both, of a well that is a diode; of a burst of 4, too.
@@ -276,7 +277,7 @@ def test_detectability_of_what_clips_is_the_ratio_of_the_best_template_in_frames
     The template K⁻¹Δ is that of the table. Within 3 standard errors of the ratio, of the frames' means and variances: 4 % of seeds
     would fail one of the 16.
     """
-    frames, side, time_s, rng = 3000, 24, 0.02, np.random.default_rng(46)
+    frames, side, time_s, rng = 3000, 16, 0.02, np.random.default_rng(46)
     columns_e = own.get("column_noise_e", 0.0)
     pixel = PIXEL.model_copy(update=SMALL_WELL | ENDS[end] | {"prnu": own.get("prnu", 0.0)})
     pixel = pixel.model_copy(update={"column_fpn": columns_e / pixel.full_well_e})
