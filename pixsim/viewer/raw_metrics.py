@@ -218,6 +218,7 @@ class ClippedExposure:
         Full wells have one charge. Below it, panels end where the read noise begins to reach the top code.
         """
         p, read_e = self.physics, math.sqrt(self.read_e2)
+        sigma_e = np.maximum(sigma_e, LEAST)  # of no charge, too
         full_at = np.clip((self.clip_e - charge_e) / sigma_e, -FARTHEST_SIGMAS, FARTHEST_SIGMAS)
         ends_e = np.array([self.top_e - FARTHEST_SIGMAS * read_e, self.top_e + FARTHEST_SIGMAS * read_e])
         ends_e = ends_e[ends_e < self.clip_e]
