@@ -252,7 +252,7 @@ def read_frame(path: str | os.PathLike[str]) -> RawFrame:
     """Read the digital numbers and metadata of a raw frame, from pixsim or another program.
 
     path : .tiff, .tif or .png (grey, 16 bits), .exr (one channel), .npz (`dn`, or a single array); of TIFF/EP with its layout.
-        Of several pages or parts the first is read, with a warning
+        Of several pages the first is read, with a warning
 
     Raises PixsimError if the file is missing, damaged, in colour, of 8 bits, or larger than 2²⁸ pixels.
 
@@ -288,7 +288,7 @@ def black_levels_of(metadata: dict[str, Any], shape: tuple[int, ...]) -> Array |
     stated = metadata.get(BLACK_LEVEL)
     with suppress(TypeError, ValueError, RecursionError):
         levels = np.asarray(json.loads(stated) if isinstance(stated, str) else stated, float)
-        if levels.ndim == 2 and levels.size and np.isfinite(levels).all() and levels.min() >= 0:
+        if levels.ndim == 2 and levels.size and np.isfinite(levels).all():
             return _tiled(levels, shape)
     return None
 
@@ -540,7 +540,7 @@ def _black_levels_of_tags(tags: Mapping[int, Any], shape: tuple[int, ...]) -> Ar
     The cell's, with what BlackLevelDeltaH adds to each column, and BlackLevelDeltaV to each row. Of several samples in a pixel
     there is none.
     """
-    with suppress(TypeError, ValueError):
+    with suppress(IndexError, TypeError, ValueError):
         values = np.atleast_1d(np.asarray(tags[BLACK_LEVEL_TAG], float))
         if (values == values[0]).all():
             levels = values[:1, None]
@@ -550,7 +550,7 @@ def _black_levels_of_tags(tags: Mapping[int, Any], shape: tuple[int, ...]) -> Ar
         if columns.any() or rows.any():
             levels = _tiled(levels, shape) + columns + rows[:, None]
         is_level = levels.ndim == 2 and (len(shape) == 2 or not np.ptp(levels))
-        return levels if is_level and np.isfinite(levels).all() and levels.min() >= 0 else None
+        return levels if is_level and np.isfinite(levels).all() else None
     return None
 
 

@@ -320,9 +320,9 @@ def test_tags_of_dng_are_obeyed(tmp_path: Path) -> None:
     values, table = np.arange(8 * 6).reshape(8, 6), (np.arange(40) ** 2).tolist()
     area = {"t50829": (3, [1, 2, 7, 6]), "t50712": (3, table), "t50715": (3, [0, 1, 2, 3]), "t50716": (3, [0, 0, 5, 0, 0, 0])}
     tiff(tmp_path / "raw.tif", values[..., None].astype("<u2"), 32803, **MOSAIC, **BLACK, **area)
-    with pytest.warns(UserWarning, match="active area in rows 1 to 6 and columns 2 to 5") as told:
+    with pytest.warns(UserWarning, match="active area in rows 1 to 6 and columns 2 to 5") as texts:
         back = pixsim.read_frame(tmp_path / "raw.tif")
-    assert len(told) == 1
+    assert len(texts) == 1
     np.testing.assert_array_equal(back.dn, np.minimum(values, 39)[1:7, 2:6] ** 2)
     rows = np.array([0, 0, 5, 0, 0, 0])[:, None]
     np.testing.assert_array_equal(back.black_level_dn, np.tile(CELL, (3, 2)) + np.arange(4) + rows)
