@@ -128,8 +128,8 @@ class ComparedCases:
 
     @property
     def answers(self) -> list[tuple[Case[Study], list[str]]]:
-        """Each case with its answer for each later sensor."""
-        return [(case, [whole_verdict(own, other, own.prepared.match) for other in self.names[1:]]) for case, own in self.results]
+        """Each case with its answer for each later sensor; the match of all cases is that of the headline."""
+        return [(case, [whole_verdict(own, other, None) for other in self.names[1:]]) for case, own in self.results]
 
     def as_dict(self) -> dict[str, Any]:
         """Return compare.json."""

@@ -137,10 +137,10 @@ def conditions_disagree(result: Averaged, other: str) -> bool:
     return len({_winner(part, other) for part in (pair, *(part for _, part in pair.counted))} - {None}) > 1
 
 
-def whole_verdict(result: Averaged, other: str, match: Match) -> str:
+def whole_verdict(result: Averaged, other: str, match: Match | None) -> str:
     """Return the answer for the first sensor and another; each condition's and then the weighted mean's where these disagree.
 
-    match : of their cameras, under which the answer holds
+    match : of their cameras, which the answer says; None where a line above has it
     """
     pair = result.pair(other)
     matched_verdict = "; ".join(verdict_parts(pair, other, match))
