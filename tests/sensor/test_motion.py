@@ -239,12 +239,12 @@ def test_scored_frame_leaves_half_of_the_longest_path() -> None:
 
 
 def test_pixels_at_other_places_need_no_more_room_than_the_picture() -> None:
-    """Detectability reads them, but nobody is shown them. Each dot is a pixel wide, so that no room is left by rounding."""
-    display, motion = Display(white_cd_per_m2=1000, dots=160), Motion(image_um_per_s=(4e4, 0.0))
+    """Detectability reads them, but nobody is shown them. Each dot is half a pixel wide, so that no room is left by rounding."""
+    display, motion = Display(white_cd_per_m2=1000, dots=320), Motion(image_um_per_s=(4e4, 0.0))
     options = {"motion": motion, "metrics": ("detectability",), "without": picture_of(0.0, 1)}
     pixel = PIXEL.model_copy(update={"bits": 12})
     score = evaluate(picture_of(2.5, 1), CAMERA, pixel, Exposure(integration_s=1e-3), display, **options)
-    assert score.border_um[1] == pytest.approx(PIXEL.pitch_um + 20.0, abs=1e-9)
+    assert score.border_um[1] == pytest.approx(1.5 * PIXEL.pitch_um + 20.0, abs=1e-9)
     assert score.metrics["detectability"] > 0
 
 

@@ -273,10 +273,10 @@ def test_evaluate_scores_only_inside_border():
     """The scored dots are dots of the whole raster, and light outside them does not change the score."""
     irradiance = irradiance_of(grating())
     whole = ideal_on_dots(irradiance, SMALL)
-    np.testing.assert_allclose(ideal_on_dots(irradiance, SMALL, border_um=15.0), whole[3:-3, 3:-3], rtol=1e-12)
+    np.testing.assert_allclose(ideal_on_dots(irradiance, SMALL, border_um=22.5), whole[5:-5, 5:-5], rtol=1e-12)
     score = evaluate(irradiance, CAMERA, Pixel(pitch_um=15.0), display=SMALL)
-    assert score.delta_e.shape == score.ideal.shape == score.image.shape == (122, 122)
-    assert score.border_um == pytest.approx((15.9, 15.9))
+    assert score.delta_e.shape == score.ideal.shape == score.image.shape == (118, 118)
+    assert score.border_um == pytest.approx((26.5, 26.5))  # of 22.5 µm, in whole dots of 5.3 µm
     beyond = irradiance.factors[1].copy()
     beyond[:, :, :2] *= 3  # light on the first dot alone, which is not scored; diffraction takes a little of it inwards
     brighter = SpectralImage(NM, 10.0, irradiance.pitch_um, header=irradiance.header, factors=(irradiance.factors[0], beyond))
