@@ -201,8 +201,8 @@ def test_run_json_equals_score_json(picture: Path) -> None:
     score = json.loads((picture / "stdout").read_text(encoding="utf-8"))
     assert score == json.loads((picture / "out/score.json").read_text(encoding="utf-8"))
     delta_e = read_channels(picture / "out/delta_e.exr")[0]["delta_e"]
-    assert delta_e.shape == tuple(score["scored_dots"]) == (124, 124)  # without a border of 1.5 pixels, in whole dots of a pixel
-    assert score["border_um"] == pytest.approx([42.4, 42.4])
+    assert delta_e.shape == tuple(score["scored_dots"]) == (126, 126)  # without a border of 1.5 pixels, 12 µm, in whole dots
+    assert score["border_um"] == pytest.approx([21.2, 21.2])
     assert score["mean_delta_e"] == pytest.approx(delta_e.mean(dtype=float), rel=1e-6)  # the file is float32
     assert score["pitch_um"] == 8.0
 

@@ -284,7 +284,7 @@ def test_run_irradiance_option_sets_contents(tmp_path):
     """The result is the same, but for the frame of a file whose samples are larger."""
     y, x = np.indices((64, 2048))
     light = light_file(tmp_path / "wide.npz", 1.0 + (x // 3 + y) % 2, 1.0)
-    line = f"run {light} --camera.die-mm 2.048 --pixel.pitch-um 16 --display.dots 128 --json --out {tmp_path / 'out'} --irradiance"
+    line = f"run {light} --camera.die-mm 2.048 --pixel.pitch-um 10 --display.dots 128 --json --out {tmp_path / 'out'} --irradiance"
     scores, file = {}, tmp_path / "out/irradiance.exr"
     for content in ("full", "factors", "none", "reduced"):
         score, err = scored(f"{line} {content}")
@@ -294,7 +294,7 @@ def test_run_irradiance_option_sets_contents(tmp_path):
         if content != "none":
             assert pixsim.read_exr(file).shape == ((32, 1024) if content == "reduced" else (64, 2048))
     assert all(score == scores["full"] for score in scores.values())
-    again, err = scored(f"run {file} --pixel.pitch-um 16 --display.dots 128 --json --out {tmp_path / 'again'}")
+    again, err = scored(f"run {file} --pixel.pitch-um 10 --display.dots 128 --json --out {tmp_path / 'again'}")
     assert "'irradiance.exr' holds means over 2 × 2 samples of the render, 2 µm wide" in err
     assert again["irradiance"]["reduced"] == {"samples": [64, 2048], "factor": 2.0}
     assert again["mean_electrons_e"] == pytest.approx(scores["full"]["mean_electrons_e"], rel=1e-3)
@@ -363,12 +363,12 @@ def test_run_page_locates_largest_errors(tmp_path: Path) -> None:
     code, _, err = command(f"run {light} {camera} --out {tmp_path / 'out'}")
     assert code == 0, err
     delta_e = read_channels(tmp_path / "out/delta_e.exr")[0]["delta_e"]
-    assert delta_e.shape == (250, 250)  # a pixel of 15 µm is three dots of 5 µm
-    starts = sorted({*range(0, 250 - 112 + 1, 28), 250 - 112})
+    assert delta_e.shape == (246, 246)  # 1.5 pixels of 15 µm are 4.5 dots of 5 µm, so five
+    starts = sorted({*range(0, 246 - 112 + 1, 28), 246 - 112})
     means = {(left, top): delta_e[top : top + 112, left : left + 112].mean() for left in starts for top in starts}
     left, top = max(means, key=means.__getitem__)
     assert top < 40 < 100 < left
-    x_mm, y_mm = ((3 + at + 56) / 256 * 1.28 for at in (left, top))
+    x_mm, y_mm = ((5 + at + 56) / 256 * 1.28 for at in (left, top))
     page = text_of(tmp_path / "out")
     assert f"Its centre is at x = {x_mm:.3g} mm, y = {y_mm:.3g} mm on the sensor, from the upper left" in page
 

@@ -71,7 +71,7 @@ def test_weighted_mean_is_that_of_the_conditions_alone(both: Averaged, alone: li
 def test_conditions_are_those_comparisons_bit_for_bit(both: Averaged, alone: list[Comparison]) -> None:
     day, night = (result.answers() for result in alone)
     assert [part.answers() for part in both.conditions] == [day, night]
-    assert [whole_verdict(part, "b") for part in both.conditions] == [whole_verdict(result, "b") for result in alone]
+    assert [whole_verdict(part, "b", None) for part in both.conditions] == [whole_verdict(result, "b", None) for result in alone]
     assert [weight for weight, _ in both.counted] == [0.75, 0.25]
     assert both.shown.lineup.condition == "day"
     assert [sensor.score for sensor in both.sensors] == [sensor.score for sensor in both.conditions[0].sensors]
