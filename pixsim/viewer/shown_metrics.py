@@ -11,19 +11,20 @@ import numpy as np
 from pixsim.base.arrays import Array, stream
 from pixsim.base.errors import invalid
 from pixsim.sensor.readout import lasting
+from pixsim.viewer.develop_steps import noise_of_expected_e2
+from pixsim.viewer.dot_noise import RawNoise, expected_noise_power
 from pixsim.viewer.judges.non_prewhitening import npwe
 from pixsim.viewer.judges.sharpness import acutance
 from pixsim.viewer.judges.visible_noise import visual_noise
 from pixsim.viewer.metrics import Metric, MetricContext, NoNumberError
 from pixsim.viewer.mtf import mtf_terms
-from pixsim.viewer.raw_metrics import expected_e, grey, needs_target
+from pixsim.viewer.raw_metrics import code_moments, code_tables, expected_e, full_e, grey, needs_target, variance_of_pixels_e2
 from pixsim.viewer.sharpening import unsharp_response
 
 if TYPE_CHECKING:
-    from pixsim.sensor.pixel import Registration
     from pixsim.sensor.readout import Frame
     from pixsim.viewer.judged import Judged
-    from pixsim.viewer.score import Score
+    from pixsim.viewer.score import ImagingChain, Score
 
 GREY = 0.18  # of white: the patch of visual noise
 FEW_FULL = 0.01  # of the patch's pixels: the noise of more of them is cut off where it shows
@@ -100,33 +101,82 @@ VISUAL_NOISE = Metric(
 
 
 def _npwe(judged: Judged) -> tuple[float, float]:
-    """Compare the shown light of expected frames of each registration.
+    """Compare the shown light of expected frames of each registration, in the expected spectrum of their noise.
 
-    The noise of this frame is taken for that of all places of the picture, and of all registrations.
+    A tone curve is not linear: the noise of this frame says by how much the curve changes it in the band of the target. That is
+    the ratio of two periodograms of the same noise, with and without the curve, which scatters much less than either of them.
     """
     if judged.chain.develop.denoises:
         got = f"develop.denoise = '{judged.chain.develop.denoiser}', which does other things to a frame than to its mean"
         raise NoNumberError(str(invalid("the metric npwe", got, "development that is linear", "Take ΔE, or detectability.")))
-    samples_per_deg, power, found = judged.chain.screen.display.samples_per_deg, None, []
+    change, values = 1.0, []
     for chain in judged.chains(judged.options.detectability.registrations):
-        assert chain.without_e_per_s is not None
-        time_s, registration = judged.time_s(chain), chain.physics.registration
-        with_target, without = (
-            chain.light(_expected_frame(judged.frame, expected_e(chain, rate * time_s, time_s), time_s, registration))
-            for rate in (chain.signal_e_per_s, chain.without_e_per_s)
-        )
-        if power is None:  # of the first one, that of the frame
-            noise = chain.light(judged.frame) - with_target
-            power = np.abs(np.fft.fft2(noise - noise.mean(dtype=float))) ** 2 / noise.size / samples_per_deg**2
-        found.append(npwe(np.asarray(with_target - without, float), power, samples_per_deg))
-    return float(np.mean(found)), min(found)
+        with_target, difference = _expected_light(judged, chain)
+        samples_per_deg, time_s = chain.screen.display.samples_per_deg, judged.time_s(chain)
+        power = expected_noise_power(chain, raw_noise(chain, chain.signal_e_per_s * time_s, time_s))
+        if chain is judged.chain and chain.develop.tone and difference.any():
+            light = chain.light_before_tone(judged.frame)
+            curved = npwe(difference, _periodogram(chain.toned(light) - chain.toned(with_target)), samples_per_deg)
+            straight = npwe(difference, _periodogram(light - with_target), samples_per_deg)
+            change = curved / straight
+        values.append(change * npwe(difference, power, samples_per_deg))
+    return float(np.mean(values)), min(values)
 
 
-def _expected_frame(frame: Frame, electrons: Array, time_s: float, registration: Registration) -> Frame:
-    """Return a frame with expected electrons (rows, columns) in place of its own."""
-    dn, corrected_e = np.zeros(electrons.shape, np.int32), electrons.astype(np.float32)
+def _expected_light(judged: Judged, chain: ImagingChain) -> tuple[Array, Array]:
+    """Return the expected light of the dots before the tone curve, and behind it what the target changes, (H, W) each."""
+    assert chain.without_e_per_s is not None
+    time_s = judged.time_s(chain)
+    with_target, without = (
+        chain.light_before_tone(_expected_frame(judged.frame, chain, expected_e(chain, rate * time_s, time_s), time_s))
+        for rate in (chain.signal_e_per_s, chain.without_e_per_s)
+    )
+    return with_target, np.asarray(chain.toned(with_target) - chain.toned(without), float)
+
+
+def _periodogram(noise: Array) -> Array:
+    """Return the squared spectrum of noise around its mean, (H, W), in any unit."""
+    return np.asarray(np.abs(np.fft.fft2(noise - noise.mean(dtype=float))) ** 2)
+
+
+def raw_noise(chain: ImagingChain, signal_e: Array, time_s: float) -> RawNoise:
+    """Return the noise of an expected frame behind its corrections, relative to the scene's white.
+
+    Near the ends of the well and of the codes it is what these leave.
+
+    signal_e : (rows, columns) of light, before anything clips
+    """
+    physics, correction = chain.physics, chain.correction
+    level_e = np.minimum(signal_e, full_e(chain, time_s))
+    pixel, column, row = noise_of_expected_e2(level_e, physics, time_s, correction)
+    tables = code_tables(chain, time_s, signal_e)
+    if tables:
+        unclipped = variance_of_pixels_e2(chain, level_e, time_s)
+        clipped = code_moments(tables, signal_e, unclipped)
+        pixel = np.maximum(pixel - (unclipped - clipped.variance_e2), 0.0)
+        of_offsets = float(np.mean(np.square(clipped.offset_slope)))
+        column, row = column * of_offsets, row * of_offsets
+    white_e = chain.white_e_per_s * time_s * np.ones(signal_e.shape)
+    if chain.shading is not None:
+        white_e *= chain.shading
+    if chain.even is not None and correction.flat_frames:
+        white_e *= chain.even
+    pixel = pixel / white_e**2
+    of_lines = float(np.mean(white_e**-2))
+    return RawNoise(pixel, column * of_lines, row * of_lines)
+
+
+def _expected_frame(frame: Frame, chain: ImagingChain, electrons: Array, time_s: float) -> Frame:
+    """Return a frame of a chain with expected electrons (rows, columns) in place of its own, corrected as it is."""
+    corrected = electrons / chain.even if chain.even is not None and chain.correction.flat_frames else electrons
     return replace(
-        frame, dn=dn, mean_e=electrons, corrected_e=corrected_e, saturated=None, integration_s=time_s, registration=registration
+        frame,
+        dn=np.zeros(electrons.shape, np.int32),
+        mean_e=electrons,
+        corrected_e=corrected.astype(np.float32),
+        integration_s=time_s,
+        registration=chain.physics.registration,
+        saturated=None,
     )
 
 

@@ -1,0 +1,110 @@
+"""The expected spectrum of a picture's noise on the display's dots: raw noise → sharpening → means over dots, all of them linear.
+
+A linear map from pixels to dots that acts along the rows and along the columns by itself turns independent pixels into a picture
+whose expected periodogram is a product of two factors, one for each axis. Sharpening is a sum of two such maps.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import scipy  # whose parts are imported when they are used
+
+from pixsim.base.arrays import Array
+from pixsim.sensor.integration import first_edge_um
+from pixsim.viewer.display import SPLINE_DEGREE, average_axis
+from pixsim.viewer.sharpening import gaussian_taps
+
+if TYPE_CHECKING:
+    from pixsim.viewer.score import ImagingChain
+
+
+class RawNoise(NamedTuple):
+    """The noise of a raw frame, relative to the scene's white.
+
+    pixel : (rows, columns) variance of each pixel by itself
+    column, row : variance of what the pixels of a column, and of a row, share
+    """
+
+    pixel: Array
+    column: float
+    row: float
+
+
+class AxisPower(NamedTuple):
+    """What one axis does to noise: spectra on its dots, (2, 2, dots), of the plain picture and the blurred one with each other.
+
+    independent : of pixels of variance 1
+    shared : of one offset of variance 1 in all pixels along the axis
+    share : (pixels,) of the power in the dots, by the pixel from which it comes; the sum is 1
+    """
+
+    independent: Array
+    shared: Array
+    share: Array
+
+
+def expected_noise_power(chain: ImagingChain, noise: RawNoise) -> Array:
+    """Return the expected power of the noise of a chain's picture before its tone curve, (H, W), in relative luminance² deg².
+
+    It is at the frequencies of `np.fft.fftfreq` on the display's dots, as `pixsim.viewer.judges.npwe` takes it. The variance of
+    the pixels counts by its mean over those that the dots show: where it differs, a periodogram of all of them has that mean too.
+
+    noise : of the frame, behind its corrections
+    """
+    down, across = (_axis_power(chain, axis, count) for axis, count in enumerate(noise.pixel.shape))
+    # Not by BLAS, whose rounding depends on the number of threads.
+    mean = float(np.einsum("y,yx,x->", down.share, noise.pixel, across.share, optimize=False))
+    amount = chain.develop.sharpen_amount if chain.develop.sharpens else 0.0
+    weights = np.array([1 + amount, -amount])
+
+    def power(of_rows: Array, of_columns: Array) -> Array:
+        return np.einsum("i,j,ijk,ijl->kl", weights, weights, of_rows, of_columns, optimize=False).real
+
+    total = mean * power(down.independent, across.independent)
+    if noise.column:
+        total += noise.column * power(down.shared, across.independent)
+    if noise.row:
+        total += noise.row * power(down.independent, across.shared)
+    return np.asarray(total / total.size / chain.screen.display.samples_per_deg**2)
+
+
+def _axis_power(chain: ImagingChain, axis: int, count: int) -> AxisPower:
+    """Return the factor of an axis, 0 along y or 1 along x, of `count` pixels."""
+    screen, physics = chain.screen, chain.physics
+    sigma_px = chain.sharpen_px if chain.develop.sharpens else None
+    if screen.display.raster == "one_to_one":
+        return _power_of_dots(count, 1.0, 0.0, None, 0, sigma_px)
+    low_um = first_edge_um(screen.size_um[axis], count, physics.read_pitch_um, physics.registration[axis])
+    degree = SPLINE_DEGREE[screen.display.interpolation]
+    return _power_of_dots(count, physics.read_pitch_um, low_um, screen.dot_edges_um[axis].tobytes(), degree, sigma_px)
+
+
+@lru_cache(maxsize=4)  # the frames of a registration share them, and both axes of a square picture
+def _power_of_dots(
+    count: int, pitch_um: float, low_um: float, edges_bytes: bytes | None, degree: int, sigma_px: float | None
+) -> AxisPower:
+    """Return the factor of an axis of `count` pixels; the other arguments are those of `average_axis`.
+
+    edges_bytes : of the dots; None: dots are pixels
+    sigma_px : standard deviation of the blur of sharpening; None without it
+    """
+    pictures = [np.eye(count)]
+    if sigma_px is not None:
+        pictures.append(scipy.ndimage.correlate1d(pictures[0], gaussian_taps(sigma_px), axis=0, mode="mirror"))
+    if edges_bytes is not None:
+        edges_um = np.frombuffer(edges_bytes)
+        pictures = [average_axis(picture, pitch_um, low_um, edges_um, degree, 0) for picture in pictures]
+
+    spectra = [np.fft.fft(picture, axis=0) for picture in pictures]
+    dots = len(spectra[0])
+    independent, shared = np.zeros((2, 2, dots), complex), np.zeros((2, 2, dots), complex)
+    for i, first in enumerate(spectra):
+        for j, second in enumerate(spectra):
+            independent[i, j] = (first * second.conj()).sum(axis=1)
+            shared[i, j] = first.sum(axis=1) * second.sum(axis=1).conj()
+
+    power_of_pixels = np.square(pictures[0]).sum(axis=0)
+    return AxisPower(independent, shared, power_of_pixels / power_of_pixels.sum())
