@@ -25,7 +25,7 @@ from pixsim.base.arrays import Array, mixed
 from pixsim.base.errors import invalid
 from pixsim.sensor.colour import Layout, of_channels
 from pixsim.sensor.colour_options import binned_cell
-from pixsim.sensor.correction import residual_variance_e2
+from pixsim.sensor.correction import flat_light_e, residual_variance_e2
 from pixsim.sensor.correction_options import NO_CORRECTION, Correction
 from pixsim.sensor.noise import constant_e, variance_e2
 from pixsim.sensor.pixel import PixelPhysics
@@ -217,7 +217,8 @@ def noise_of_expected_e2(
 ) -> tuple[Array, float, float]:
     """Return the variance of each pixel by itself of an expected frame (rows, columns), and of what columns and rows share.
 
-    With the fixed patterns, as far as the correction leaves them. The mean of dark rows, which a column loses, is shared by it.
+    With the fixed patterns, as far as the correction leaves them. The mean of dark rows, which a column loses, is shared by it, and
+    so are the offsets that rows have in dark and flat frames by the rows.
     """
     row = float(variance_e2(physics, is_temporal=True, along="row"))
     column = float(variance_e2(physics, is_temporal=False, along="column"))
@@ -226,6 +227,10 @@ def noise_of_expected_e2(
         return np.maximum(total - row - column, 0.0), column, row
     total = np.asarray(residual_variance_e2(signal_e, integration_s, physics, correction).total)
     frames, rows = correction.dark_frames, correction.column_clamp
+    level = signal_e / flat_light_e(physics, correction, integration_s) if correction.flat_frames else np.zeros(1)
+    of_dark = float(np.mean((1 - level) ** 2)) / frames if frames else 0.0
+    of_flat = float(np.mean(level**2)) / correction.flat_frames if correction.flat_frames else 0.0
+    row *= 1 + of_dark + of_flat
     if rows:
         dark_e = physics.dark_current_e_per_s * integration_s
         rounding_e2 = physics.rounding_variance_dn2 / physics.dn_per_e**2
