@@ -228,17 +228,18 @@ def noise_of_expected_e2(
     total = np.asarray(residual_variance_e2(signal_e, integration_s, physics, correction).total)
     frames, rows = correction.dark_frames, correction.column_clamp
     level = signal_e / flat_light_e(physics, correction, integration_s) if correction.flat_frames else np.zeros(1)
-    of_dark = float(np.mean((1 - level) ** 2)) / frames if frames else 0.0
-    of_flat = float(np.mean(level**2)) / correction.flat_frames if correction.flat_frames else 0.0
-    row *= 1 + of_dark + of_flat
+    pattern_left = float(np.mean((1 - level) ** 2))  # of what picture and flat frames have in common
+    temporal = 1.0 + (pattern_left / frames if frames else 0.0)
+    if correction.flat_frames:
+        temporal += float(np.mean(level**2)) / correction.flat_frames
+    row *= temporal
+    column = 0.0 if frames else column * pattern_left
     if rows:
         dark_e = physics.dark_current_e_per_s * integration_s
         rounding_e2 = physics.rounding_variance_dn2 / physics.dn_per_e**2
         of_rows = float(variance_e2(physics, dark_e + rounding_e2, is_temporal=True, along="pixel"))
         of_pattern = float(variance_e2(physics, dark_e=dark_e, is_temporal=False, along="pixel"))
-        column = (of_rows * (1 + 1 / frames) if frames else of_rows + of_pattern) / rows
-    elif frames:
-        column = 0.0
+        column = (of_rows * temporal + (0.0 if frames else of_pattern * pattern_left)) / rows
     return np.maximum(total - row - column, 0.0), column, row
 
 
