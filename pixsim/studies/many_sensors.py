@@ -35,7 +35,7 @@ from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.judged import Judging
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.metric_registry import metrics_named
-from pixsim.viewer.metrics import PIXEL_STATISTICS, Metric, MetricContext, columns_of_metrics
+from pixsim.viewer.metrics import PIXEL_STATISTICS, Metric, MetricContext, columns_of_metrics, columns_with_numbers
 from pixsim.viewer.score import (
     SceneCache,
     Score,
@@ -195,7 +195,8 @@ def sweep(
         found = rows_of(series, repeats, None, None if jobs is None else workers_here(jobs), tell=warn)
         facts = {one.light_id: scenes.ideal_facts(one.light_key, one.imaging.physics, border_um) for one in series}
         warn_of_clipping(max(each.beyond_white for each in facts.values()), light.header, display)
-    numbers = *PIXEL_STATISTICS, *columns_of_metrics(judging.metrics)
+    every = {name: np.array([float(row[name]) for rows in found for row in rows]) for name in columns_of_metrics(judging.metrics)}
+    numbers = *PIXEL_STATISTICS, *columns_with_numbers(judging.metrics, every)
     rows = [
         {PIXEL: name, "technology": row["technology"], "pitch_um": float(row["pitch_um"]), "repeat": int(row["repeat"])}
         | {column: float(row[column]) for column in numbers}

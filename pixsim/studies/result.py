@@ -47,7 +47,7 @@ from pixsim.viewer.causes import Cause, causes_of
 from pixsim.viewer.develop_options import developed_words
 from pixsim.viewer.display import white_light, white_rate
 from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
-from pixsim.viewer.metrics import DELTA_E, Metric, columns_of_metrics
+from pixsim.viewer.metrics import DELTA_E, Metric, columns_of_metrics, columns_with_numbers
 from pixsim.viewer.score import FrameScore, SceneCache, clip_words, clips_dark, dark_clip, shown
 
 if TYPE_CHECKING:
@@ -84,6 +84,7 @@ class Curve:
     causes : of the mean ΔE of the best of the pitches, beside noise and blur, the largest first
     metrics : that judge it; the first one is that of `fit`
     fits : fitted curve of each further metric that tells a best size, by its name
+    variant_fits : fitted curve of each variant of a metric that tells a best size, by its column
     developed : what is on of the development, as of `developed_words`
     lacking : metrics that have no number at a pitch in µm, each with the reason
     """
@@ -108,6 +109,7 @@ class Curve:
     causes: tuple[Cause, ...] = field(default=(), repr=False)
     metrics: tuple[Metric, ...] = field(default=(DELTA_E,), repr=False)
     fits: dict[str, FittedCurve] = field(default_factory=dict, repr=False)
+    variant_fits: dict[str, FittedCurve] = field(default_factory=dict, repr=False)
     developed: str = ""
     lacking: tuple[tuple[str, float, str], ...] = field(default=(), repr=False)
 
@@ -166,6 +168,11 @@ class Curve:
     def optima(self) -> dict[str, Optimum]:
         """The optimum by each metric that tells a best size, by the metric's name."""
         return {self.metrics[0].name: self.optimum} | {name: fit.optimum for name, fit in self.fits.items()}
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The columns of the metrics, without variants that have no number at any pitch."""
+        return columns_with_numbers(self.metrics, self.statistics)
 
     @property
     def judged_by_delta_e(self) -> bool:
@@ -292,7 +299,8 @@ class Curve:
         if [metric.name for metric in self.metrics] == [DELTA_E.name]:
             return {}
         optima = {name: optimum.of_metric() for name, optimum in self.optima.items()}
-        names = columns_of_metrics(self.metrics)
+        optima |= {name: fit.optimum.of_metric() for name, fit in self.variant_fits.items()}
+        names = self.columns
         judges = agreement_of(self)
         told = {} if judges is None else {"judges": judges.as_dict()}
         means = {name: [value if math.isfinite(value) else None for value in self.typical(name).tolist()] for name in names}
@@ -705,6 +713,7 @@ def curve_of(study: Study, technology: str, rows: Sequence[Row], metrics: tuple[
     fill_factor[place] = fill
     width_um = partial(photodiode_widths_um, study, technology)
     found = {each.name: fit_of_metric(each, pitches, statistics[each.columns[0]], width_um) for each in metrics}
+    of_variants = {name: fit_of_metric(each, pitches, statistics[name], width_um) for each in metrics for name in each.variants}
     fit = found.pop(metrics[0].name)
     if fit is None:
         known = int(told_pitches(metrics[0], statistics[metrics[0].columns[0]]).sum())
@@ -723,6 +732,7 @@ def curve_of(study: Study, technology: str, rows: Sequence[Row], metrics: tuple[
         from_smallest=study.pitch.values_um is None and study.open_range_um[0] is None,
         metrics=metrics,
         fits={name: each for name, each in found.items() if each is not None},
+        variant_fits={name: each for name, each in of_variants.items() if each is not None},
         developed=developed_words(study.develop, [study.options_of(technology)]),
     )
 
@@ -846,7 +856,7 @@ def curve_table(curves: Sequence[Curve]) -> dict[str, Column]:
         mean, ci95 = shown_mean_and_ci95(curve)
         columns = {"technology": np.array([curve.label] * mean.size), "pitch_um": curve.pitch_um, "fill_factor": curve.fill_factor}
         columns |= {"mean_delta_e": mean, "ci95_delta_e": ci95} if curve.judged_by_delta_e else {}
-        columns |= {name: curve.typical(name) for name in columns_of_metrics(curve.metrics) if name != DELTA_E.columns[0]}
+        columns |= {name: curve.typical(name) for name in curve.columns if name != DELTA_E.columns[0]}
         if any(other.fresnel_number is not None for other in curves):
             columns["fresnel_number"] = np.full(mean.size, np.nan) if curve.fresnel_number is None else curve.fresnel_number
         for name, values in columns.items():

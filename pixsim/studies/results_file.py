@@ -93,7 +93,8 @@ class ResultsFile:
     def _is_whole(self, row: Row) -> bool:
         """Return whether a row has every column, with numbers where they belong; other rows are computed again."""
         try:
-            names = *OF_PIXEL, *columns_of_metrics(self.metrics)
+            variants = {name for metric in self.metrics for name in metric.variants if metric.may_lack(name, float(row[name]))}
+            names = [name for name in (*OF_PIXEL, *columns_of_metrics(self.metrics)) if name not in variants]
             return all(row[name] if name in TEXTS else math.isfinite(float(row[name])) for name in names)
         except (KeyError, TypeError, ValueError):
             return False
@@ -196,8 +197,9 @@ def is_possible(row: Row, metrics: Sequence[Metric] = (DELTA_E,)) -> bool:
     """
     bounds = dict.fromkeys(PIXEL_STATISTICS, (0.0, math.inf)) | {name: each.bounds for each in metrics for name in each.columns}
     values = {name: float(row[name]) for name in bounds}
+    lacking = [name for each in metrics for name in each.variants if each.may_lack(name, values[name])]
     for name, (low, high) in bounds.items():
-        if not low - ROUNDING * abs(low) <= values[name] <= high + ROUNDING * abs(high):
+        if name not in lacking and not low - ROUNDING * abs(low) <= values[name] <= high + ROUNDING * abs(high):
             return False
     return all(metric.is_possible(tuple(values[name] for name in metric.columns)) for metric in metrics)
 

@@ -27,7 +27,7 @@ from pixsim.viewer.display_options import Display
 from pixsim.viewer.light_error import LightError
 from pixsim.viewer.metric_registry import metric_known
 from pixsim.viewer.metrics import DELTA_E
-from pixsim.viewer.raw_metrics import DETECTABILITY, contrast_factor
+from pixsim.viewer.raw_metrics import DETECTABILITY, INFORMATION, contrast_factor
 from pixsim.viewer.score import rounded_up
 
 if TYPE_CHECKING:
@@ -432,8 +432,25 @@ def study_light_words(result: StudyResult) -> list[str]:
     return ["; ".join([*(lenses[:1] if len(set(lenses)) == 1 else []), shown, *stages])]
 
 
+def contrast_words(result: StudyResult, curve: Curve) -> list[str]:
+    """Return a line on the best size by information at the contrast of a study and at two others; none without such optima."""
+    options = result.part_of(curve).study.metric.information
+    optimum, fits = curve.optima.get(INFORMATION.name), [curve.variant_fits.get(name) for name in INFORMATION.variants]
+    if optimum is None or options.other_contrasts is None:
+        return []
+    low, high = (None if fit is None else fit.optimum for fit in fits)
+    low_contrast, high_contrast = options.other_contrasts
+    optima = (low_contrast, low), (options.contrast, optimum), (high_contrast, high)
+    sizes = [
+        f"{best.pitch_um:.2f} µm{'' if best.inside else ' (an end of the sizes)'} at {contrast:.3g}"
+        for contrast, best in optima
+        if best is not None
+    ]
+    return [f"{curve.label}: the best size by information depends on the contrast of the scene: {', '.join(sizes)}"]
+
+
 def study_facts(result: StudyResult) -> list[Fact]:
     """Return what follows the optima of a study: causes, errors of its light, what it depends on, how its sensors are shown."""
-    judged = [text for curve in result.curves for text in agreement_words(curve)]
+    judged = [text for curve in result.curves for text in (*agreement_words(curve), *contrast_words(result, curve))]
     words = [judged, result.cause_notes, study_unconverged(result), study_light_words(result), study_view_words(result)]
     return [Fact(text) for each in words for text in each]

@@ -61,6 +61,13 @@ class Information(Record):
         None, description="of a natural spectrum: f₀ on the sensor (absent: a cycle across the die)"
     )
 
+    @property
+    def other_contrasts(self) -> tuple[float, float] | None:
+        """A third of the contrast, and three times it but at most 1, or itself if it is more; None for a scene's own spectrum."""
+        if self.spectrum == "scene":
+            return None
+        return self.contrast / 3, max(self.contrast, min(3 * self.contrast, 1.0))
+
 
 class SnrIlluminance(Record):
     """Settings of the metric snr10_lx."""

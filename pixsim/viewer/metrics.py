@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Literal
@@ -59,6 +59,7 @@ class Metric:
     needs_light : whether it asks for the light of the scene beside the picture
     needs_frame : whether it asks for the frame and the sensor behind the picture
     worst : columns of which the least value of all frames counts, not their mean
+    variants : columns of the same number under other assumptions, each of which tells a best size; NaN where they mean nothing
     code : hash of a function of the user's, on which its numbers depend; empty for one of pixsim's
     """
 
@@ -78,6 +79,7 @@ class Metric:
     needs_light: bool = False
     needs_frame: bool = True
     worst: tuple[str, ...] = ()
+    variants: tuple[str, ...] = ()
     code: str = ""
 
     @property
@@ -126,12 +128,16 @@ class Metric:
         """Return what a configuration would need for the metric to mean something; empty if it has all."""
         return OF_FRAMES if self.needs_frame and not asked.has_frame else self.lacks(asked)
 
+    def may_lack(self, column: str, value: float) -> bool:
+        """Return whether a column's value is the NaN of a variant that means nothing."""
+        return column in self.variants and math.isnan(value)
+
     def values(self, given: Judged | Score) -> dict[str, float]:
         """Return the numbers of what `compute` takes by their columns. Raises PixsimError if one is outside the bounds."""
         found = dict(zip(self.columns, map(float, self.compute(given)), strict=True))
         low, high = self.bounds
         for name, value in found.items():
-            if not low <= value <= high:
+            if not low <= value <= high and not self.may_lack(name, value):
                 raise invalid(f"the metric {self.name}", f"{name} = {value:g}", f"a number from {low:g} to {high:g}")
         return found
 
@@ -202,6 +208,15 @@ def own_metric(function: Callable[[Score], float], name: str = "") -> Metric:
 def columns_of_metrics(metrics: Sequence[Metric]) -> tuple[str, ...]:
     """Return the columns of some metrics, in their order."""
     return tuple(column for metric in metrics for column in metric.columns)
+
+
+def columns_with_numbers(metrics: Sequence[Metric], values: Mapping[str, Array | float]) -> tuple[str, ...]:
+    """Return the columns of some metrics, in their order, without the variants that have no number among the values.
+
+    values : (...) of each column
+    """
+    variants = {name for metric in metrics for name in metric.variants}
+    return tuple(name for name in columns_of_metrics(metrics) if name not in variants or np.isfinite(values[name]).any())
 
 
 def percentiles(values: Array, percent: tuple[float, ...], largest: float | None = None) -> list[float]:

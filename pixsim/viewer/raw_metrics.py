@@ -583,18 +583,31 @@ def mean_level(chain: ImagingChain, time_s: float) -> MeanLevel:
     return MeanLevel(share, float(moments.signal_slope) * mean_e, float(moments.variance_e2))
 
 
-def _information(judged: Judged) -> tuple[float, float]:
-    """Return the information in the mean level of the pixels that are not full, for their share of the sensor."""
-    chain, time_s = judged.chain, judged.frame.integration_s
-    axis, power, folded = scene_power(chain, judged.options.information)
+def _information(judged: Judged) -> tuple[float, float, float, float]:
+    """Return the information in the mean level of the pixels that are not full, for their share of the sensor; then at other contrasts.
+
+    The power of a natural spectrum grows with the square of its contrast.
+    """
+    chain, time_s, options = judged.chain, judged.frame.integration_s, judged.options.information
+    others = options.other_contrasts
+    axis, power, folded = scene_power(chain, options)
     share, mean_e, variance_e2 = mean_level(chain, time_s)
     if not share:
-        return 0.0, 0.0
-    if judged.options.information.spectrum == "natural":  # the scene's own picture has its veil
+        nothing = math.nan if others is None else 0.0
+        return 0.0, 0.0, nothing, nothing
+    if options.spectrum == "natural":  # the scene's own picture has its veil
         mean_e *= 1 - veiled(chain).stray
     noise = variance_e2 * (1e-3 * chain.physics.read_pitch_um) ** 2
-    bits = share * information_bits_per_mm2(axis, mean_e**2 * power, noise, mean_e**2 * folded)
-    return bits, bits * (chain.facts.camera.image_distance_mm * math.radians(1.0)) ** 2
+
+    def bits_per_mm2(contrast: float) -> float:
+        """Return the information of the whole sensor at a contrast of the scene."""
+        relative_contrast = contrast / options.contrast
+        level_e2 = (relative_contrast * mean_e) ** 2
+        return share * information_bits_per_mm2(axis, level_e2 * power, noise, level_e2 * folded)
+
+    bits = bits_per_mm2(options.contrast)
+    low, high = (math.nan, math.nan) if others is None else map(bits_per_mm2, others)
+    return bits, bits * (chain.facts.camera.image_distance_mm * math.radians(1.0)) ** 2, low, high
 
 
 def neq_along(chain: ImagingChain, time_s: float) -> tuple[Array, Array]:
@@ -619,9 +632,10 @@ INFORMATION = Metric(
     source="Fales & Huck, Information Sciences 57-58 (1991) 245: ½∬ log₂(1 + S|T|²/(N + A))",
     unseen="what is in the picture: noise of the mean level counts everywhere, offsets of whole rows and columns nowhere; "
     "and corrections of the frame",
-    columns=("information", "information_bits_per_deg2"),
+    columns=("information", "information_bits_per_deg2", "information_low_contrast", "information_high_contrast"),
     bounds=(0.0, 1e15),
     compute=_information,
+    variants=("information_low_contrast", "information_high_contrast"),
     lacks=grey,
     needs_light=True,
 )

@@ -72,7 +72,15 @@ from pixsim.viewer.judged import DELTA_E_ONLY, Judged, Judging, frame_statistics
 from pixsim.viewer.judges.information_density import radial_spectrum
 from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
-from pixsim.viewer.metrics import DELTA_E, Metric, MetricContext, NoNumberError, delta_e_statistics, percentiles
+from pixsim.viewer.metrics import (
+    DELTA_E,
+    Metric,
+    MetricContext,
+    NoNumberError,
+    columns_with_numbers,
+    delta_e_statistics,
+    percentiles,
+)
 from pixsim.viewer.raw_metrics import OF_TARGETS, has_target, moments_of_codes
 from pixsim.viewer.scielab import (
     SINGLE_DELTA_E,
@@ -1351,7 +1359,9 @@ def judged_score(
 
 def with_numbers(score: S, metrics: Sequence[Metric], judged: Judged | Score, lacking: dict[str, str] | None = None) -> S:
     """Return a score with the numbers of metrics of what `numbers_of` takes; `lacking` is also its."""
-    numbers = numbers_of([metric for metric in metrics if metric.name != DELTA_E.name], judged, lacking)  # a score has ΔE
+    others = [metric for metric in metrics if metric.name != DELTA_E.name]  # a score has ΔE
+    numbers = numbers_of(others, judged, lacking)
+    numbers = {name: numbers[name] for name in columns_with_numbers(others, numbers)}
     first = {metric.name: numbers.get(metric.columns[0], score.mean_delta_e) for metric in metrics}
     return replace(score, metrics=first, further=numbers)
 
