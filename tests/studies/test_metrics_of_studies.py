@@ -7,6 +7,7 @@ import math
 import pickle
 import re
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +20,18 @@ from helpers.tiny import rows, tiny
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.report.axes import axes_files, axes_page, axes_summary, conditions_table, optima_columns
+from pixsim.report.study import study_document
 from pixsim.show.document import Listed
+from pixsim.show.render import text
 from pixsim.studies.agreement import agreement_of, agreement_words, place_words, share_of_best
 from pixsim.studies.conditions import compromises_of
 from pixsim.studies.lineup import prepare as lineup
 from pixsim.studies.optimum import fit_curve
+from pixsim.studies.pixels import photodiode_widths_um
 from pixsim.studies.preparation import prepare
 from pixsim.studies.quanta import quanta_of_study
 from pixsim.studies.result import Curve, StudyResult, fit_of_metric, shown_mean_and_ci95, told_pitches
+from pixsim.studies.sentences import contrast_words
 from pixsim.studies.settings_text import settings_text
 from pixsim.studies.study_file import load_study
 from pixsim.studies.threshold import MOST_RENDERS, Search, Threshold
@@ -37,6 +42,7 @@ from pixsim.viewer.settings_file import settings_layer
 
 PITCH_UM = np.array([2.0, 2.4, 2.9, 3.5, 4.2, 5.0, 6.0])
 NAMES = ["delta_e", "information", "mtf50"]
+VARIANTS = METRICS["information"].variants
 
 
 def parabola(least_um: float, bend: float = 1.0) -> np.ndarray:
@@ -47,7 +53,7 @@ def parabola(least_um: float, bend: float = 1.0) -> np.ndarray:
 
 def curve(delta_e: np.ndarray, information: np.ndarray) -> Curve:
     metrics = metrics_named(["delta_e", "information"])
-    statistics = {"mean_delta_e": delta_e, "information": information}
+    statistics = {"mean_delta_e": delta_e, "information": information} | dict.fromkeys(VARIANTS, np.full(information.shape, np.nan))
     fit = fit_of_metric(metrics[1], PITCH_UM, information, np.asarray)
     assert fit is not None
     own = Curve("one", 0.35, PITCH_UM, np.ones(PITCH_UM.size), statistics, fit_curve(PITCH_UM, delta_e))
@@ -139,7 +145,8 @@ def judged(tmp_path_factory: pytest.TempPathFactory) -> tuple[StudyResult, Path]
 def test_study_has_columns_and_optima_of_each_metric(judged: tuple[StudyResult, Path]) -> None:
     result, folder = judged
     found = rows(folder)
-    assert list(found[0])[-4:] == ["information", "information_bits_per_deg2", "mtf50_cy_per_mm", "schema"]
+    of_information = ["information", "information_bits_per_deg2", "information_low_contrast", "information_high_contrast"]
+    assert list(found[0])[-6:] == [*of_information, "mtf50_cy_per_mm", "schema"]
     own = result.curves[0]
     assert list(own.optima) == ["delta_e", "information"], "an MTF50 tells no best size"
     assert own.optimum is own.optima["delta_e"]
@@ -147,6 +154,37 @@ def test_study_has_columns_and_optima_of_each_metric(judged: tuple[StudyResult, 
     assert summary["optima"]["information"]["value"] == own.optima["information"].value
     assert summary["judges"] == agreement_of(own).as_dict()
     assert summary["metrics"]["mtf50_cy_per_mm"] == own.mean("mtf50_cy_per_mm").tolist()
+
+
+def test_study_says_the_best_sizes_by_information_at_three_contrasts(judged: tuple[StudyResult, Path]) -> None:
+    """0.15, a third of it and three times it: each is the optimum of the curve of its column."""
+    result, _ = judged
+    own = result.curves[0]
+    widths = partial(photodiode_widths_um, result.study, own.technology)
+    sizes = [own.optima["information"]]
+    for name in METRICS["information"].variants:
+        fit = fit_of_metric(METRICS["information"], own.pitch_um, own.statistics[name], widths)
+        assert fit is not None
+        assert own.variant_fits[name].optimum == fit.optimum
+        assert result.as_dict()["curves"][0]["optima"][name] == fit.optimum.of_metric()
+        sizes.append(fit.optimum)
+    (line,) = contrast_words(result, own)
+    stated_um = [float(number) for number in re.findall(r"([0-9.]+) µm", line)]
+    assert stated_um == pytest.approx([sizes[place].pitch_um for place in (1, 0, 2)], abs=5e-3), "two digits"
+    assert re.findall(r"at (0\.\d+)", line) == ["0.05", "0.15", "0.45"]
+    assert line in text(study_document(result))
+
+
+def test_study_of_the_scene_s_own_spectrum_has_no_other_contrasts(tmp_path: Path) -> None:
+    """Its rows are known again all the same."""
+    plan = tiny(metrics=["information"], metric={"information": {"spectrum": "scene"}})
+    result = pixsim.study(plan, tmp_path, jobs=1)
+    (own,) = result.curves
+    assert contrast_words(result, own) == []
+    assert not [name for name in own.as_dict()["metrics"] if "contrast" in name]
+    again = pixsim.study(plan, tmp_path, jobs=1)
+    assert not list(tmp_path.glob("results.csv.old*")), "rows that are computed again leave a copy"
+    np.testing.assert_array_equal(again.curves[0].delta_e, own.delta_e)
 
 
 def test_delta_e_of_a_study_does_not_depend_on_other_metrics(judged: tuple[StudyResult, Path], tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
@@ -538,6 +538,28 @@ def test_black_picture_has_no_spectrum() -> None:
         metric=MetricOptions(information={"spectrum": "scene"}),
     )
     assert found.metrics["information"] == 0.0
+
+
+@pytest.mark.parametrize(("contrast", "low", "high"), [(0.15, 0.05, 0.45), (0.6, 0.2, 1.0), (2.0, 2 / 3, 2.0)])
+def test_information_at_other_contrasts_is_that_of_these_contrasts(contrast: float, low: float, high: float) -> None:
+    """A third of the contrast, and three times it but at most 1; one that is above 1 is the higher one itself."""
+
+    def evaluate(stated: float) -> Mapping[str, float | None]:
+        options = MetricOptions(information={"contrast": stated})
+        return pixsim.evaluate(EVEN, CAMERA, PIXEL, EXPOSURE, DISPLAY, metrics=["information"], metric=options).further
+
+    found = evaluate(contrast)
+    assert found["information_low_contrast"] == pytest.approx(evaluate(low)["information"], rel=1e-9)
+    assert found["information_high_contrast"] == pytest.approx(evaluate(high)["information"], rel=1e-9)
+
+
+def test_information_of_the_scene_s_own_spectrum_has_no_other_contrasts() -> None:
+    """Neither in a score nor in a table of sensors."""
+    more: dict[str, Any] = {"metrics": ["information"], "metric": MetricOptions(information={"spectrum": "scene"})}
+    score = pixsim.evaluate(with_disc(0.2), CAMERA, PIXEL, EXPOSURE, DISPLAY, **more)
+    assert list(score.further) == ["information", "information_bits_per_deg2"]
+    (row,) = pixsim.sweep(with_disc(0.2), [PIXEL], camera=CAMERA, exposure=EXPOSURE, display=DISPLAY, jobs=1, **more)
+    assert not [name for name in row if "contrast" in name]
 
 
 def test_information_of_a_flat_spectrum_is_its_closed_form() -> None:
