@@ -27,6 +27,7 @@ from pixsim.show.render import notebook
 from pixsim.studies.cases import named
 from pixsim.studies.engine import workers_here
 from pixsim.studies.evaluations import check_ideals, rows_of
+from pixsim.studies.result import causes_of_rows
 from pixsim.studies.series import Series
 from pixsim.viewer.develop_options import DEVELOP, Develop, check_develop
 from pixsim.viewer.display import dot_edges_um, picture_size_um
@@ -194,6 +195,10 @@ def sweep(
         check_ideals(series)
         found = rows_of(series, repeats, None, None if jobs is None else workers_here(jobs), tell=warn)
         facts = {one.light_id: scenes.ideal_facts(one.light_key, one.imaging.physics, border_um) for one in series}
+        for one, of_pixel in zip(series, found, strict=True):
+            for cause in causes_of_rows(light, one.imaging, facts[one.light_id].lightness, of_pixel):
+                if cause.leaves_nothing:
+                    warn(f"{one.words}: {cause}")
         warn_of_clipping(max(each.beyond_white for each in facts.values()), light.header, display)
     every = {name: np.array([float(row[name]) for rows in found for row in rows]) for name in columns_of_metrics(judging.metrics)}
     numbers = *PIXEL_STATISTICS, *columns_with_numbers(judging.metrics, every)

@@ -46,6 +46,7 @@ from pixsim.studies.viewing import OptimumViewed
 from pixsim.viewer.causes import Cause, causes_of
 from pixsim.viewer.develop_options import developed_words
 from pixsim.viewer.display import white_light, white_rate
+from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
 from pixsim.viewer.metrics import DELTA_E, Metric, columns_of_metrics, columns_with_numbers
 from pixsim.viewer.score import FrameScore, SceneCache, clip_words, clips_dark, dark_clip, shown
@@ -637,15 +638,26 @@ def causes_of_curve(series: Series, curve: Curve, lightness: tuple[float, float]
     lightness : the ideal image's, lowest and highest
     rows : of the curve
     """
-    image, place = series.scenes.irradiance, int(np.nanargmin(curve.mean()))
-    time_s, at_best = curve.mean("integration_s")[place], series.imaging.at(float(curve.pitch_um[place]))
-    read = at_best.physics.as_read
-    area_um2 = collecting_area_um2(image, at_best.camera, at_best.physics) * read.bin_side**2
-    white_e = white_rate(image, at_best.camera, at_best.physics, at_best.display) * area_um2 * float(time_s)
-    at_size = (float(row["saturated_fraction"]) for row in rows if float(row["pitch_um"]) == curve.pitch_um[place])
-    full = list(islice(at_size, FEW_ROWS))
-    of_frame = white_e, float(time_s), lightness, float(np.mean(full))
-    return causes_of(image.header, at_best.display, read, *of_frame, at_best.exposure)
+    best_um = float(curve.pitch_um[int(np.nanargmin(curve.mean()))])
+    at_best = islice((row for row in rows if float(row["pitch_um"]) == best_um), FEW_ROWS)
+    return causes_of_rows(series.scenes.irradiance, series.imaging.at(best_um), lightness, list(at_best))
+
+
+def causes_of_rows(
+    image: SpectralImage, imaging: Imaging, lightness: tuple[float, float], rows: Sequence[Row]
+) -> tuple[Cause, ...]:
+    """Return the causes of the mean ΔE of some frames of one pixel, beside noise and blur, the largest first.
+
+    image, imaging : the light and the settings of the pixel
+    lightness : the ideal image's, lowest and highest
+    rows : of the frames
+    """
+    physics = imaging.physics
+    read = physics.as_read.at_exposure(imaging.exposure)
+    time_s, saturated = (float(np.mean([float(row[name]) for row in rows])) for name in ("integration_s", "saturated_fraction"))
+    area_um2 = collecting_area_um2(image, imaging.camera, physics) * read.bin_side**2
+    white_e = white_rate(image, imaging.camera, physics, imaging.display) * area_um2 * time_s
+    return causes_of(image.header, imaging.display, read, white_e, time_s, lightness, saturated, imaging.exposure)
 
 
 def over_sensors(statistic: Callable[..., Array], values: Array) -> Array:

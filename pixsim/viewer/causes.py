@@ -1,10 +1,12 @@
 """What decides a mean ΔE other than the sensor's noise and blur: to be named before the number is believed.
 
 Light that is not computed, an ideal image without contrast, an ADC with too few codes for the picture, and pixels that are full.
+A frame tells nothing where all of its pixels are full, or where light changes no code: the one rule for all that may lead there.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -15,10 +17,12 @@ from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.flicker import burst_modulation, clipped_light
+from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.outside import SHOWN_SHARE, outside_hint, outside_share, outside_words
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.viewer.display import setting_of_white
 from pixsim.viewer.display_options import Display
+from pixsim.viewer.raw_metrics import moments_of_codes
 from pixsim.viewer.scielab import xyz_to_lab
 
 FEWEST_CODES = 8.0  # between black and display white; with fewer, the picture is that of the ADC
@@ -27,6 +31,10 @@ ALL = 100.0  # ΔE from black to white
 SATURATED_SHOWN = 0.01  # of the pixels; the tail of shot noise fills fewer
 LINEAR_BELOW = 8.0  # of L*, which is linear in luminance there (CIE 15)
 ROUNDING = 1e-9  # of a number of codes
+NOTHING = "the frame tells nothing"
+LEAST_SNR = 1e-3  # of the lightest dot in a pixel; a million pixels have 1 together
+ALL_FULL = 1.0 - 1e-6  # of the pixels
+NO_NOISE_DN = 1e-9  # σ used in place of 0
 STEADY = Exposure()
 
 
@@ -45,6 +53,11 @@ class Cause:
 
     def __str__(self) -> str:
         return f"{self.words}: {self.hint}"
+
+    @property
+    def leaves_nothing(self) -> bool:
+        """Whether the frame tells nothing of the light."""
+        return self.words.startswith(NOTHING)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the cause as in score.json."""
@@ -71,10 +84,13 @@ def causes_of(
     saturated_fraction : of the pixels of a frame
     exposure : of the frame, whose light may flicker
     """
-    few_codes = _codes(physics, white_e, integration_s, lightness[1])
+    of_frame = white_e, integration_s, lightness[1]
     modulation = burst_modulation(exposure, integration_s)
     full = _full(_range_e(physics, integration_s), white_e, lightness[1], saturated_fraction, modulation)
-    found = [_contrast(*lightness, setting_of_white(header, display)), few_codes or full, _light(outside_share(header, physics))]
+    of_sensor = _codes(physics, *of_frame) or full
+    if tells_nothing(physics, *of_frame, saturated_fraction):
+        of_sensor = _nothing(of_sensor, saturated_fraction)
+    found = [_contrast(*lightness, setting_of_white(header, display)), of_sensor, _light(outside_share(header, physics))]
     return tuple(sorted(filter(None, found), key=lambda cause: -cause.delta_e))
 
 
@@ -116,6 +132,44 @@ def codes_to_white(physics: PixelPhysics, white_e: float, integration_s: float) 
 
 def _range_e(physics: PixelPhysics, integration_s: float) -> float:
     return physics.saturation_e - physics.dark_current_e_per_s * integration_s
+
+
+def tells_nothing(physics: PixelPhysics, white_e: float, integration_s: float, lightest: float, saturated_fraction: float) -> bool:
+    """Return whether a frame is the same in any light: all pixels are full, or the lightest dot moves no code out of its noise.
+
+    The codes of a pixel are compared with those in the dark: the difference of their means, as the well, the ADC and code 0 clip
+    them, over the standard deviation in the dark. In a burst that is a part of its frame's.
+
+    physics : of what is read
+    white_e, integration_s, saturated_fraction : of `causes_of`
+    lightest : L* of the ideal image's lightest dot
+    """
+    if saturated_fraction >= ALL_FULL:
+        return True
+    if lightest < SEEN_LIGHTNESS:  # the picture is black, whatever the sensor
+        return False
+    exposure, time_s = physics.burst(1), integration_s / physics.exposures
+    signal_e = white_e * luminance_of_lightness(lightest) / physics.exposures
+    dark_e = exposure.dark_current_e_per_s * time_s
+    charge_e = np.minimum(np.array([0.0, signal_e]) + dark_e, exposure.saturation_e)
+    level_dn = np.minimum(exposure.black_level_dn + exposure.dn_per_e * charge_e, exposure.top_code_dn)
+    sigma_dn = exposure.dn_per_e * np.sqrt(variance_e2(exposure, charge_e, light_e=charge_e - dark_e, dark_e=dark_e))
+    mean_dn, variance_dn2, _ = moments_of_codes(level_dn, np.maximum(sigma_dn, NO_NOISE_DN))
+    return bool(mean_dn[1] - mean_dn[0] <= LEAST_SNR * math.sqrt(max(variance_dn2[0], 0.0)))
+
+
+def _nothing(cause: Cause | None, saturated_fraction: float) -> Cause:
+    """Return a cause of the sensor as one that leaves nothing; without one, that of full pixels or of noise."""
+    if cause is None and saturated_fraction >= ALL_FULL:
+        cause = Cause("all pixels are saturated", ALL, _less_light())
+    elif cause is None:
+        more = f"more light or time ({setting('exposure.integration_s')}, {setting('exposure.max_integration_s')})"
+        cause = Cause("its light is lost in the noise", ALL, f"{more}, or less noise")
+    return Cause(f"{NOTHING}: {cause.words}", ALL, cause.hint)
+
+
+def _less_light() -> str:
+    return f"less time ({setting('exposure.integration_s')}) or gain ({setting('exposure.gain_db')}), or a larger full well"
 
 
 def _codes(physics: PixelPhysics, white_e: float, integration_s: float, lightest: float) -> Cause | None:
@@ -163,8 +217,7 @@ def _full(range_e: float, white_e: float, lightest: float, share: float, modulat
     lost = lightest - float(lightness_of(np.array(clipped_light(max(range_e, 0.0) / white_e, modulation))))
     if lost < SEEN_LIGHTNESS:
         return None
-    hint = f"less time ({setting('exposure.integration_s')}) or gain ({setting('exposure.gain_db')}), or a larger full well"
-    return Cause(f"{share:.0%} of the pixels are saturated", lost, hint)
+    return Cause(f"{share:.0%} of the pixels are saturated", lost, _less_light())
 
 
 def _light(share: float) -> Cause | None:

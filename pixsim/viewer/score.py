@@ -1331,6 +1331,9 @@ def evaluate(
     time_s, saturated = score.frame.integration_s, score.frame.saturated_fraction
     of_frame = chain.white_e_per_s * time_s, time_s, lightness_range(score.ideal), saturated
     causes = causes_of(irradiance.header, score.display, score.physics, *of_frame, exposure)
+    for cause in causes:
+        if cause.leaves_nothing:
+            warn(str(cause))
     # The ideal picture is that of the chain, which stays.
     return replace(score, ideal=score.ideal.copy(), light=LightError.of(irradiance.header, causes=causes), _scored=None)
 

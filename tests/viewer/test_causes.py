@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,7 @@ from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.show.render import text
 from pixsim.studies.sentences import optimum_line, unsure_words
-from pixsim.viewer.causes import Cause, causes_of, lightness_range
+from pixsim.viewer.causes import NOTHING, Cause, causes_of, lightness_range, tells_nothing
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.light_error import LightError
 
@@ -190,6 +191,72 @@ def test_chart_with_contrast_has_no_cause() -> None:
     score = pixsim.evaluate(light(CHECKS), CAMERA, Pixel.model_validate(SILICON), display=DISPLAY)
     assert score.light.causes == ()
     assert f"ΔE {score.mean_delta_e:.3f}, 5 µm" in repr(score)
+
+
+# --- frames that tell nothing ---
+
+QUIET = {"technology": "none", "pitch_um": 5.0, "full_well_e": 1e4, "quantum_efficiency": 0.5, "bits": 12}
+QUIET |= {"read_noise_e": 1.0, "dark_current_e_per_s": 0.0}
+EMPTY: dict[str, tuple[dict[str, float], dict[str, float], str]] = {
+    "dark charge": ({"dark_current_e_per_s": 1e9}, {"integration_s": 0.01}, "dark charge leaves no code"),
+    "gain": ({}, {"integration_s": 0.01, "gain_db": 60.0}, "100% of the pixels are saturated"),
+    "light": ({}, {"integration_s": 10.0}, "100% of the pixels are saturated"),
+    "one bit": ({"bits": 1}, {"integration_s": 1e-4}, "display white is .* of a step"),
+    "short time": ({}, {"integration_s": 5.7e-14}, "display white is .* of a step"),
+    "dark charge that ends the exposure": ({"dark_current_e_per_s": 1.7e17}, {}, "display white is .* of a step"),
+    "noise": (
+        {"read_noise_e": 1e6, "full_well_e": 1e7},
+        {"integration_s": 1e-6, "gain_db": 60.0},
+        "its light is lost in the noise",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", EMPTY)
+def test_frame_that_tells_nothing_is_said_once(case: str, tmp_path: Path) -> None:
+    """By evaluate, a sweep and a run alike, whatever metric is asked for."""
+    of_pixel, of_exposure, why = EMPTY[case]
+    pixel, exposure = QUIET | of_pixel, pixsim.Exposure.model_validate(of_exposure)
+    of_light = light(CHECKS)
+    said = f"{NOTHING}: {why}"
+    for metrics in (["delta_e"], ["information"]):
+        with pytest.warns(UserWarning, match=said) as notes:
+            pixsim.evaluate(of_light, CAMERA, Pixel.model_validate(pixel), exposure, DISPLAY, metrics=metrics)
+        assert [NOTHING in str(note.message) for note in notes].count(True) == 1
+    sensors = {"small": Pixel.model_validate(pixel)}
+    with pytest.warns(UserWarning, match=f"pixel small: {said}"):
+        pixsim.sweep(of_light, sensors, camera=CAMERA, exposure=exposure, display=DISPLAY, jobs=1)
+
+    pixsim.write_exr(tmp_path / "light.exr", of_light)
+    tables = {"camera": {"focal_length_mm": 4.0, "die_mm": 0.32}, "display": {"dots": 64, "white_cd_per_m2": 1000.0}}
+    result = pixsim.run(tmp_path / "light.exr", pixel=pixel, exposure=of_exposure, **tables)
+    assert [bool(re.search(said, note)) for note in result.notes].count(True) == 1
+
+
+@pytest.mark.parametrize("gain_db", [0.0, 60.0])
+def test_study_of_frames_that_tell_nothing_says_so(gain_db: float, tmp_path: Path) -> None:
+    """Full by light, or by the gain alone, once for the best size."""
+    exposure = {"integration_s": 0.02 if gain_db else 1e3, "gain_db": gain_db}
+    result = pixsim.study(tiny(exposure=exposure), tmp_path, jobs=1)
+    assert [f"{NOTHING}: 100% of the pixels are saturated" in note for note in result.notes].count(True) == 1
+
+
+@pytest.mark.parametrize("integration_s", [1.6e-3, 2e-7])
+def test_frame_with_some_light_tells_something(integration_s: float) -> None:
+    """Also of 1 e- at the lightest dot with noise of 10 e-: a million pixels have an SNR of 100 together."""
+    pixel = Pixel.model_validate(QUIET | {"read_noise_e": 10.0, "black_level_dn": 200})
+    exposure = pixsim.Exposure(integration_s=integration_s)
+    with warnings.catch_warnings(record=True) as notes:
+        warnings.simplefilter("always")
+        pixsim.evaluate(light(CHECKS), CAMERA, pixel, exposure, DISPLAY)
+    assert not [note for note in notes if NOTHING in str(note.message)]
+
+
+def test_pixel_is_compared_with_darkness_by_its_normal_noise() -> None:
+    """Read noise of σ alone far from any clipping: nothing below a signal of 1e-3 σ, something above."""
+    physics = derive(Pixel.model_validate(QUIET | {"read_noise_e": 100.0, "black_level_dn": 1000, "bits": 16}))
+    for signal_e, nothing in ((0.099, True), (0.101, False)):  # 100 e- of σ; shot noise and rounding are 1e-5 of it
+        assert tells_nothing(physics, signal_e, 0.01, 100.0, 0.0) is nothing
 
 
 # --- the ADC ---
