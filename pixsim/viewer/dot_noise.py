@@ -34,7 +34,9 @@ class RawNoise(NamedTuple):
 
 
 class AxisPower(NamedTuple):
-    """What one axis does to noise: spectra on its dots, (2, 2, dots), of the plain picture and the blurred one with each other.
+    """What one axis does to noise: cross-spectra on its dots, (n, n, dots), of n pictures with each other.
+
+    They are the plain picture, and of sharpening the blurred one.
 
     independent : of pixels of variance 1
     shared : of one offset of variance 1 in all pixels along the axis
@@ -57,11 +59,14 @@ def expected_noise_power(chain: ImagingChain, noise: RawNoise) -> Array:
     down, across = (_axis_power(chain, axis, count) for axis, count in enumerate(noise.pixel.shape))
     # Not by BLAS, whose rounding depends on the number of threads.
     mean = float(np.einsum("y,yx,x->", down.share, noise.pixel, across.share, optimize=False))
-    amount = chain.develop.sharpen_amount if chain.develop.sharpens else 0.0
-    weights = np.array([1 + amount, -amount])
+    amount = chain.develop.sharpen_amount
+    weights = np.array([1 + amount, -amount]) if chain.develop.sharpens else np.ones(1)
 
     def power(of_rows: Array, of_columns: Array) -> Array:
-        return np.einsum("i,j,ijk,ijl->kl", weights, weights, of_rows, of_columns, optimize=False).real
+        """Return the real part of the sum over both pictures twice; its imaginary part cancels."""
+        weighted = weights[:, None, None] * weights[:, None] * of_rows
+        in_phase = np.einsum("ijk,ijl->kl", weighted.real, of_columns.real, optimize=False)
+        return np.asarray(in_phase - np.einsum("ijk,ijl->kl", weighted.imag, of_columns.imag, optimize=False))
 
     total = mean * power(down.independent, across.independent)
     if noise.column:
@@ -98,13 +103,21 @@ def _power_of_dots(
         edges_um = np.frombuffer(edges_bytes)
         pictures = [average_axis(picture, pitch_um, low_um, edges_um, degree, 0) for picture in pictures]
 
-    spectra = [np.fft.fft(picture, axis=0) for picture in pictures]
-    dots = len(spectra[0])
-    independent, shared = np.zeros((2, 2, dots), complex), np.zeros((2, 2, dots), complex)
+    spectra = [np.fft.rfft(picture, axis=0) for picture in pictures]
+    size = len(pictures), len(pictures), len(spectra[0])
+    independent, shared = np.zeros(size, complex), np.zeros(size, complex)
     for i, first in enumerate(spectra):
         for j, second in enumerate(spectra):
             independent[i, j] = (first * second.conj()).sum(axis=1)
             shared[i, j] = first.sum(axis=1) * second.sum(axis=1).conj()
 
+    dots = len(pictures[0])
     power_of_pixels = np.square(pictures[0]).sum(axis=0)
-    return AxisPower(independent, shared, power_of_pixels / power_of_pixels.sum())
+    share = power_of_pixels / power_of_pixels.sum()
+    return AxisPower(_both_halves(independent, dots), _both_halves(shared, dots), share)
+
+
+def _both_halves(half: Array, dots: int) -> Array:
+    """Return the spectrum of real pictures at all frequencies, (..., dots), of that at those of `np.fft.rfftfreq`."""
+    below = half[..., 1 : (dots + 1) // 2].conj()
+    return np.concatenate([half, below[..., ::-1]], axis=-1)
