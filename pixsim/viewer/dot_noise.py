@@ -52,7 +52,8 @@ def expected_noise_power(chain: ImagingChain, noise: RawNoise) -> Array:
     """Return the expected power of the noise of a chain's picture before its tone curve, (H, W), in relative luminance² deg².
 
     It is at the frequencies of `np.fft.fftfreq` on the display's dots, as `pixsim.viewer.judges.npwe` takes it. The variance of
-    the pixels counts by its mean over those that the dots show: where it differs, a periodogram of all of them has that mean too.
+    pixels counts by its mean over those that the dots show. Where it differs from place to place, the expected periodogram of the
+    whole picture has that mean too, but for differences that repeat with the dots.
 
     noise : of the frame, behind its corrections
     """

@@ -24,6 +24,8 @@ import pixsim
 from pixsim.studies.agreement import fits_of, share_of_best
 from pixsim.studies.optimum import FittedCurve
 from pixsim.studies.study_file import load_study
+from pixsim.viewer.metric_options import METRIC_OPTIONS
+from pixsim.viewer.metric_registry import METRICS
 
 PAGE = ROOT / "docs/questions.md"
 LIGHTS = "lux", "luminance_cd_per_m2"
@@ -46,7 +48,9 @@ def cases_of(file: Path, out: Path, jobs: int) -> dict[str, dict[str, FittedCurv
     chart = table | {"name": f"{study.name}-chart", "metrics": ["delta_e"], "scene": {"file": "csf", "parameters": light}}
     both = [pixsim.study(each, out / each.name, jobs=jobs) for each in (study, pixsim.Study.model_validate(chart))]
     return {
-        " ".join(filter(None, (study.name, of_target.condition))): fits_of(of_target) | {"delta_e": of_chart.fit}
+        " ".join(filter(None, (study.name, of_target.condition))): fits_of(of_target)
+        | of_target.variant_fits
+        | {"delta_e": of_chart.fit}
         for of_target, of_chart in zip(both[0].curves, both[1].curves, strict=True)
     }
 
@@ -59,8 +63,8 @@ def best_words(fit: FittedCurve) -> str:
     return f"{best.pitch_um:.2f} ({'' if low is None else f'{low:.2f} '}…{'' if high is None else f' {high:.2f}'})"
 
 
-def tables(cases: dict[str, dict[str, FittedCurve]]) -> tuple[str, str]:
-    """Best sizes in µm; and what each judge that sees both noise and blur loses at the best size of another such one."""
+def tables(cases: dict[str, dict[str, FittedCurve]]) -> tuple[str, str, str]:
+    """Best sizes in µm; what judges that see both noise and blur lose at the best size of another of them; and `contrasts_of`."""
     pairs = list(permutations(WHOLE, 2))
     sizes = [("case", *JUDGES.values(), "the first three agree")]
     losses = [("case", *(f"{JUDGES[one]} at that of {JUDGES[other]}" for one, other in pairs), "one size for all three")]
@@ -74,7 +78,21 @@ def tables(cases: dict[str, dict[str, FittedCurve]]) -> tuple[str, str]:
         most = np.max(list(lost.values()), axis=0)
         one_size = f"{grid[most.argmin()]:.1f} µm: at most {100 * most.min():.0f} %"
         losses.append((name, *(f"{100 * np.interp(at[other], grid, lost[one]):.0f} %" for one, other in pairs), one_size))
-    return markdown(sizes), markdown(losses)
+    return markdown(sizes), markdown(losses), markdown(contrasts_of(cases))
+
+
+def contrasts_of(cases: dict[str, dict[str, FittedCurve]]) -> list[tuple[str, ...]]:
+    """Rows of the best size by information, in µm, at a third of the contrast of scenes, at the contrast, and at three times it."""
+    low, high = METRICS["information"].variants
+    options = METRIC_OPTIONS.information
+    assert options.other_contrasts is not None
+    less, more = options.other_contrasts
+    heads = (f"information at a contrast of {contrast:.2g}" for contrast in (less, options.contrast, more))
+    rows: list[tuple[str, ...]] = [("case", *heads)]
+    return rows + [
+        (name, *(best_words(fits[column]).partition(" (")[0] for column in (low, "information", high)))
+        for name, fits in cases.items()
+    ]
 
 
 def markdown(rows: list[tuple[str, ...]]) -> str:
