@@ -59,11 +59,11 @@ def variance_of_pixels_e2(chain: ImagingChain, signal_e: Array | float, time_s: 
 
 
 def full_e(chain: ImagingChain, time_s: float) -> float:
-    """Return the signal at which the well is full, or the codes end, in electrons."""
+    """Return the signal at which the well is full, or the codes end, in electrons; 0 where dark charge alone does it."""
     p = chain.physics
     dark_e = p.dark_current_e_per_s * time_s
     top_e = (p.top_code_dn - p.black_level_dn) / p.dn_per_e - dark_e  # `frame_mean_dn` is linear
-    return min(saturation_level_e(time_s, p) - dark_e, top_e)
+    return max(min(saturation_level_e(time_s, p) - dark_e, top_e), 0.0)
 
 
 def clips(chain: ImagingChain, signal_e: Array, time_s: float) -> NDArray[np.bool_]:

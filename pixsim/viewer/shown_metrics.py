@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
@@ -118,7 +119,8 @@ def _npwe(judged: Judged) -> tuple[float, float]:
             light = chain.light_before_tone(judged.frame)
             curved = npwe(difference, _periodogram(chain.toned(light) - chain.toned(with_target)), samples_per_deg)
             straight = npwe(difference, _periodogram(light - with_target), samples_per_deg)
-            change = curved / straight
+            if math.isfinite(curved) and 0 < straight < math.inf:  # else codes hide all noise
+                change = curved / straight
         values.append(change * npwe(difference, power, samples_per_deg))
     return float(np.mean(values)), min(values)
 

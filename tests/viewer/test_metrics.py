@@ -478,6 +478,15 @@ def test_npwe_sees_nothing_of_what_clips() -> None:
     assert found.metrics["npwe"] == 0.0
 
 
+@pytest.mark.parametrize("curve", ["none", "srgb"])
+def test_npwe_sees_nothing_where_dark_charge_fills_the_well(curve: Any) -> None:
+    full = PIXEL.model_copy(update={"dark_current_e_per_s": 1e9})
+    develop = pixsim.Develop(tone_curve=curve)
+    with pytest.warns(UserWarning, match="the frame tells nothing: dark charge leaves no code"):
+        found = pixsim.evaluate(with_disc(1.0), CAMERA, full, EXPOSURE, DISPLAY, develop=develop, metrics=["npwe"], without=EVEN)
+    assert found.metrics["npwe"] == 0.0
+
+
 def test_pixels_that_clip_have_no_information() -> None:
     """Half of the sensor is far beyond its full well: the other half has half of what all of it has in its own light."""
     picture = np.ones((200, 200))
