@@ -584,9 +584,9 @@ def mean_level(chain: ImagingChain, time_s: float) -> MeanLevel:
 
 
 def _information(judged: Judged) -> tuple[float, float, float, float]:
-    """Return the information in the mean level of the pixels that are not full, for their share of the sensor; then at other contrasts.
+    """Return the information in the mean level of the pixels that are not full, per mm² and deg², and per mm² at other contrasts.
 
-    The power of a natural spectrum grows with the square of its contrast.
+    It counts for their share of the sensor. The power of a natural spectrum grows with the square of its contrast.
     """
     chain, time_s, options = judged.chain, judged.frame.integration_s, judged.options.information
     others = options.other_contrasts
