@@ -341,9 +341,9 @@ def code_moments(tables: Sequence[CodeTable], signal_e: Array, variance_e2: Arra
 
 
 def expected_e(chain: ImagingChain, signal_e: Array, time_s: float) -> Array:
-    """Return the expected electrons of a frame, as the well and the codes clip them."""
+    """Return the expected electrons of a frame, as the well and the codes clip them; none in a well that dark charge fills."""
     tables = code_tables(chain, time_s, signal_e)
-    return code_moments(tables, signal_e, 0.0).mean_e if tables else signal_e
+    return np.maximum(code_moments(tables, signal_e, 0.0).mean_e, 0.0) if tables else signal_e
 
 
 def _d_prime(chain: ImagingChain, time_s: float) -> float:

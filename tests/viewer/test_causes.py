@@ -122,15 +122,15 @@ def test_lamp_outside_the_range_is_refused_with_the_range(ends: tuple[float, flo
 
 def test_range_grows_where_lamps_shine_and_the_sensor_sees(tmp_path: Path) -> None:
     silicon, cut = Pixel.model_validate(SILICON | {"infrared_cut_nm": None}), Pixel.model_validate(SILICON)
-    for lamp, pixel, ends in (
-        (table(400, 900), silicon, (360, 1100)),
-        (table(320, 1100), FLAT.pixel, (300, 1100)),
-        (table(400, 830), silicon, (360, 830)),
-        (table(400, 900), cut, (360, 830)),
-        ('<spectrum name="intensity" value="1"/>', silicon, (360, 830)),
+    for lamp, pixel, ends, said in (
+        (table(400, 900), silicon, (360, 1100), ("begins at 400 nm", "ends at 900 nm")),
+        (table(320, 1100), FLAT.pixel, (300, 1100), ("begins at 320 nm",)),
+        (table(400, 830), silicon, (360, 830), ("begins at 400 nm",)),
+        (table(400, 900), cut, (360, 830), ("begins at 400 nm",)),
+        ('<spectrum name="intensity" value="1"/>', silicon, (360, 830), ()),
     ):
         plan = plan_of(tmp_path, lamp, pixel)
-        assert not plan.warnings
+        assert [re.search(r"a lamp (\w+ at \d+ nm)", warning)[1] for warning in plan.warnings] == list(said)
         assert (plan.bands.edges_nm[0], plan.bands.edges_nm[-1]) == ends
         share = outside_share(plan.white_header(plan.bands.edges_nm), derive(pixel))
         assert share == pytest.approx(0, abs=1e-4)
