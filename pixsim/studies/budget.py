@@ -232,7 +232,9 @@ def chains_of(image: SpectralImage, design: ProbeDesign, pitches_um: Sequence[fl
     imaging = replace(design.imaging, motion=STILL, exposure=design.imaging.exposure.steady)
     channels, pixel_um = len(imaging.physics.channels), imaging.pixel.pitch_um
     scenes = SceneCache(image, imaging.camera, imaging.display, channels, develop=imaging.develop)
-    widest_um = imaging.border_um or BORDER_PIXELS * max(pitches_um, default=pixel_um)
+    widest_um = BORDER_PIXELS * max(pitches_um, default=pixel_um)
+    if design.at_optimum and imaging.border_um is not None:  # that of the study
+        widest_um = imaging.border_um
     centred = replace(imaging, border_um=None)  # where dots are pixels, each has a frame of its own
 
     @lru_cache(maxsize=1)  # centred sensors share it
@@ -640,7 +642,8 @@ def settle(case: Case[Settings]) -> Case[Settings]:
         design = ProbeDesign(imaging_of(settings, camera, first, largest_pixel_um(settings, first)), settings.seed, at_optimum=True)
     else:
         assert isinstance(settings, Run)
-        imaging = replace(Imaging.of(settings, camera), is_run=True)
+        imaging = Imaging.of(settings, camera)
+        # As in a study, all sizes have the same registrations, so that the optimum does not beat with the dots.
         imaging = replace(imaging, border_um=imaging.physics.as_read.border_um)
         design = ProbeDesign(imaging, settings.seed)
     calibration = calibrate(scene, camera, make_render_plan(scene, camera, design.imaging.pixel), design)
