@@ -77,7 +77,8 @@ def verdict_parts(result: Averaged, other: str, match: Match | None = None) -> l
         return [words, f"in the whole range of viewing by {sizes[0]:.2g} to {sizes[-1]:.2g} ΔE"]
     where, on_chosen = where_words(inside, names), f"on {chosen.viewing}, {on_display}"
     depends = f"which is better{matched} depends on the viewing: {where}"
-    if has_room([depends, NOT_CONVERGED]):  # which may follow
+    follows = [NOT_CONVERGED] if NOT_CONVERGED in result.unconverged else []
+    if has_room([depends, *follows]):
         return [depends, on_chosen]
     return [f"which of {names[0]} and {names[1]} is better{matched} depends on the viewing", on_chosen, where]
 
