@@ -28,7 +28,7 @@ from pixsim.studies.comparison import Comparison
 from pixsim.studies.lineup import Lineup, pixels_of, prepare
 from pixsim.studies.matched_cameras import matched_cameras
 from pixsim.studies.paired import mean_interval, probability_above_zero
-from pixsim.studies.verdicts import facts, ranking_words, verdict
+from pixsim.studies.verdicts import facts, ranking_words, verdict_parts
 from pixsim.studies.viewing import Viewing, ViewingRange
 
 # A chart without samples, few pixels and dots: a comparison takes 0.2 s. Measuring the error of a film takes most of the time.
@@ -464,7 +464,7 @@ def test_comparison_shows_itself_in_a_notebook(noisy: Comparison):
     cell = noisy._repr_html_()
     words = Elements(cell)
     message = "".join(words.words)
-    assert all(verdict(noisy, other) in message for other in noisy.names[1:])
+    assert all("; ".join(verdict_parts(noisy, other, noisy.prepared.match)) in message for other in noisy.names[1:])
     assert words.tags.count("tr") == len(noisy.sensors)
     for name, (low, mean, high) in noisy.scores.items():
         assert f"{mean:.4f} ± {(high - low) / 2 + noisy.film_of_sensors[name]:.4f} ΔE" in message
