@@ -547,7 +547,7 @@ class PixelPhysics:
         One that the pixel states stays.
 
         repeat : its number, from 0
-        first : registration (x, y) of repeat 0; all others are shifted with it
+        first : registration (x, y) of repeat 0, 0 to 1 of a pixel; all others are shifted with it
         """
         if not self.is_centred:
             return self

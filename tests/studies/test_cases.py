@@ -483,7 +483,7 @@ def test_axes_of_labels_picks_values() -> None:
     ("texts", "known", "message"),
     [
         (["light"], [], "NAME=v1,v2"), (["=1"], [], "NAME=v1,v2"), (["a="], [], "NAME=v1,v2"), (["a=1", "a=2"], [], "'a' twice"),
-        (["a=1,,2"], [], "a value between"), (["a=1,"], [], "a value between"), (["a=1:2:2.5"], [], "numbers in"),
+        (["a=1,,2"], [], "a value on both sides"), (["a=1,"], [], "a value on both sides"), (["a=1:2:2.5"], [], "numbers in"),
         (["a=1:x:3"], [], "numbers in from:to:count"), (["a=1:2:3:cubic"], [], "log or linear"),
         (["lens=f/9"], [LENS], "got f/9 in 'lens=f/9'; allowed: labels of its values: f/2.8, f/8"),
         (["lens=1:2:3"], [LENS], "labels"), (["a=1"], {"name": "a"}, "a list"),
