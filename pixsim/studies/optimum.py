@@ -18,16 +18,19 @@ a factor `FLANK` to a size next to the best one, where the fit dips by more than
 convex curve through the sizes is. The interval then contains all places where such a curve, of ΔE against u, could be least
 (`convex_range`).
 
-k, t and the uncertainty of s are integrated over, weighted by the likelihood of the data. The result is the distribution
-of the minimum's position over curves drawn from the posterior. It covers the noise, the residual, and the uncertainty of
-the curve between the pitches.
+k, t and the uncertainty of s are integrated over, weighted by the likelihood of the data. A few sizes tell the stiffness of the
+curve as a whole. Between two of them it may be several times as large, and no size shows it: so the weight of each k is spread over
+others by a lognormal factor (`LOCAL_SPREAD`), which the likelihood does not weigh again. The result is the distribution of the
+minimum's position over curves drawn from the posterior. It covers the noise, the residual, and the uncertainty of the curve between
+the pitches, which is all there is for a metric without noise; `Optimum.between_sizes_share` is its part of the variance.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -42,12 +45,14 @@ from pixsim.sensor.quantities import Pitch
 
 NO_VISIBLE_DELTA_E = 0.05  # of mean ΔE between two pixel sizes
 CONFIDENCE = 0.95
-# Curves from the posterior are slightly rougher than real ones, so their intervals are too wide: in simulated studies the
-# middle 87 % of the posterior contain the minimum in 97 % of them (tests/benchmarks/interval_coverage.py).
-CREDIBILITY = 0.87
-# Stiffness k in units of the mean ΔE; dense sweeps of six studies gave 0.2 to 1.3 (tests/data/dense_sweeps).
-STIFFNESS = np.geomspace(0.1, 30.0, 9)
-USUAL_STIFFNESS, STIFFNESS_SPREAD = 1.0, 0.5  # median and logarithmic standard deviation of its prior
+# Part of the posterior that is stated: it contains the minimum in 95 % of simulated studies (tests/benchmarks/interval_coverage.py).
+CREDIBILITY = 0.93
+# Stiffness k in units of the mean ΔE: dense sweeps gave 0.2 to 5 (tests/data/dense_sweeps), and a parabola has none.
+STIFFNESS = np.geomspace(1e-3, 8.0, 12)
+USUAL_STIFFNESS, STIFFNESS_SPREAD = 1.0, 2.0  # median and logarithmic standard deviation of its prior
+# Logarithmic standard deviation of the stiffness between the sizes beside the minimum over that of all sizes. By information, the
+# sizes of a study show 0.3 to 1.5 where the curve between them has 4.
+LOCAL_SPREAD = 1.5
 # Residual t in units of a sensor's noise; those sweeps gave at most 0.1, and with centred pixels (in release 1.0.0) 0.2 to 0.5.
 RESIDUALS = (0.0, 0.1, 0.25, 0.5)
 LOUD = 0.01  # chance that a study of equal scatter has a pitch that keeps its own
@@ -60,9 +65,6 @@ STEEP = 2.5  # largest mean ΔE over the least, above which the logarithm is fit
 # Beyond these the curve between the sizes is not taken for smooth. Smaller ones widen intervals of smooth curves with few sizes.
 FLANK = 1.4  # mean ΔE of a size next to the best one, over its own
 DIP = 0.03  # of the best one's mean ΔE, by which the fit is lower at its minimum
-# Of a steep curve: its logarithm is rougher beside the flank, and the posterior's curves are not too rough. Simulated studies of
-# such curves are in tests/data/interval_coverage_steep.csv.
-STEEP_STIFFNESS_SPREAD, STEEP_CREDIBILITY = 1.0, 0.95
 ROUNDING = 1e-6  # of the mean ΔE: the smallest noise of a pitch, so that the covariance of exact data can be factored
 
 
@@ -72,13 +74,15 @@ class Optimum:
     """The pitch of minimum mean ΔE, with its uncertainty.
 
     pitch_um : minimum of the fitted curve
-    interval_um : (low, high), 95 % interval of the pitch of minimum expected ΔE: the middle 87 % of the posterior (95 % of a steep
-        curve), which contain it in 96 % of simulated studies. Where the curve may not be smooth it holds also all places where a
+    interval_um : (low, high), 95 % interval of the pitch of minimum expected ΔE: the middle 93 % of the posterior, which contain it
+        in at least 95 % of simulated studies. Where the curve may not be smooth it holds also all places where a
         convex curve could be least; at a sharp corner, fewer than 11 sizes contain the minimum less often (docs/uncertainty.md).
         None for an open end: the minimum may lie at or beyond the smallest or largest pitch tried
     mean_delta_e : of the fitted curve at `pitch_um`
     mean_delta_e_interval : 95 % interval of the least expected ΔE
     inside : whether the minimum lies between the smallest and the largest pitch tried, not at one of them
+    between_sizes_share : share, 0 to 1, of the interval's variance that is due to the unknown curve between the sizes tried, which
+        more sizes narrow; the rest is noise, which more sensors narrow. 1 for a metric without noise
     within_1_percent_um, within_2_percent_um : range of pitches whose fitted mean ΔE is that close to the minimum; None for
         an end at the smallest or the largest pitch tried
     is_of_reciprocal : whether what was fitted is the reciprocal of a metric of which more is better; then `value` is the
@@ -90,6 +94,7 @@ class Optimum:
     mean_delta_e: float
     mean_delta_e_interval: tuple[float, float]
     inside: bool
+    between_sizes_share: float
     within_1_percent_um: tuple[float | None, float | None]
     within_2_percent_um: tuple[float | None, float | None]
     is_of_reciprocal: bool = False
@@ -122,6 +127,7 @@ class Optimum:
             "value": self.value,
             "value_interval": list(self.value_interval),
             "interval_um": list(self.interval_um),
+            "between_sizes_share": self.between_sizes_share,
             "inside": self.inside,
         }
 
@@ -307,7 +313,7 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
     inside = slopes and 0 < best < fine_um.size - 1
     offsets = np.quantile(drawn, ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2), axis=0) - drawn.mean(axis=0)
     low, high = (data.delta_e_of(centre + np.interp(fine, places, offset)) for offset in offsets)
-    tail = (1 - credibility(data.logarithmic)) / 2
+    tail = (1 - CREDIBILITY) / 2
     within_range = np.clip(np.quantile(minima_um, (tail, 1 - tail)), pitch_um[0], pitch_um[-1])
     least_low, least_high = float(low[best]), float(high[best])
     if data.logarithmic:
@@ -329,12 +335,15 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
         if not slopes or np.mean(lowest <= curves.min(axis=1)) > tail or (is_sharp and may_be_beyond[end]):
             ends[end] = None
     within = [close_to_least(fine_um, curve, percent / 100) for percent in (1, 2)]
+    best_um = float(np.exp(minima(np.log(fine_um), curve[None])[0])) if inside else float(fine_um[best])
+    low_um, high_um = (limit if end is None else end for end, limit in zip(ends, (pitch_um[0], pitch_um[-1]), strict=True))
     optimum = Optimum(
-        pitch_um=float(np.exp(minima(np.log(fine_um), curve[None])[0])) if inside else float(fine_um[best]),
+        pitch_um=best_um,
         interval_um=(ends[0], ends[1]),
         mean_delta_e=float(curve[best]),
         mean_delta_e_interval=(least_low, least_high),
         inside=inside,
+        between_sizes_share=between_sizes_share(fits, weights, np.interp([low_um, best_um, high_um], fine_um, fine)),
         within_1_percent_um=within[0],
         within_2_percent_um=within[1],
     )
@@ -386,11 +395,6 @@ class Measured:
     def delta_e_of(self, curves: Array) -> Array:
         """Return the mean ΔE of curves (…) in units of the design."""
         return np.asarray(self.scale * (np.exp(curves) if self.logarithmic else curves))
-
-
-def credibility(logarithmic: bool) -> float:
-    """Return the middle part of the posterior that is taken for the 95 % interval of the minimum."""
-    return STEEP_CREDIBILITY if logarithmic else CREDIBILITY
 
 
 def noise_scale(mean: Array, logarithmic: bool) -> Array:
@@ -450,23 +454,47 @@ def loud_pitches(squares: Array, mean: Array, degrees: NDArray[np.int64]) -> NDA
 
 
 def posteriors(data: Measured) -> tuple[list[Posterior], list[float]]:
-    """Return posteriors at the likely stiffnesses, residuals and noises, the likeliest first, and their weights, of sum 1."""
-    fits, logs = [], []
+    """Return posteriors at the likely stiffnesses, residuals and noises, the likeliest first, and their weights, of sum 1.
+
+    The likelihood of all sizes tells their common stiffness; between those beside the minimum it is another one, by `LOCAL_SPREAD`.
+    """
     design, y, degrees = data.design, data.values, data.degrees.astype(float)
-    spread = STEEP_STIFFNESS_SPREAD if data.logarithmic else STIFFNESS_SPREAD
+    fits = []
     for quantile in NOISE_QUANTILES:
         variance = degrees / (2 * gammaincinv(degrees / 2, 1 - quantile))  # degrees/χ², of each pitch
         scaled = Design(design.u, design.noise * variance, design.sensors)
-        for stiffness in STIFFNESS.tolist():
-            prior = -(((np.log(stiffness / USUAL_STIFFNESS)) / spread) ** 2) / 2
-            for residual in RESIDUALS:
-                fits.append(Posterior(scaled, stiffness, residual, y))
-                logs.append(fits[-1].log_likelihood + prior)
-    weights = np.exp(np.array(logs) - max(logs))
+        fits += [Posterior(scaled, *pair, y) for pair in product(STIFFNESS.tolist(), RESIDUALS)]
+    logs = np.array([fit.log_likelihood for fit in fits]).reshape(len(NOISE_QUANTILES), STIFFNESS.size, len(RESIDUALS))
+    logs -= (np.log(STIFFNESS / USUAL_STIFFNESS)[:, None] / STIFFNESS_SPREAD) ** 2 / 2
+    common = np.exp(logs - logs.max())
+    local = np.exp(-((np.log(STIFFNESS[:, None] / STIFFNESS) / LOCAL_SPREAD) ** 2) / 2)
+    weights = np.einsum("kj,qjr->qkr", local / local.sum(axis=0), common).ravel()
     weights /= weights.sum()
     order = np.argsort(-weights, kind="stable")
     used = order[: int(np.searchsorted(np.cumsum(weights[order]), WEIGHT_USED)) + 1]
     return [fits[index] for index in used], (weights[used] / weights[used].sum()).tolist()
+
+
+def between_sizes_share(fits: list[Posterior], weights: list[float], ends: Array) -> float:
+    """Return the share of the variance of a curve's rises that would stay if the values at the sizes tried were exact, 0 to 1.
+
+    fits, weights : posteriors and their weights, of sum 1
+    ends : (3,) places of the low end, the minimum and the high end of the interval; the curve rises from the second to the others
+    """
+    exact = replace(fits[0].design, noise=np.zeros(fits[0].u.size))
+    of_unit_stiffness = rise_variance(Posterior(exact, 1.0, 0.0, np.zeros(exact.u.size)), ends)  # of exact values, variance ~ k²
+    shares = [min(1.0, of_unit_stiffness * fit.stiffness**2 / rise_variance(fit, ends)) for fit in fits]
+    return min(1.0, sum(weight * share for weight, share in zip(weights, shares, strict=True)))
+
+
+def rise_variance(fit: Posterior, ends: Array) -> float:
+    """Return the variance of a curve's rises from its minimum to both ends of its interval, summed over the ends.
+
+    ends : (3,) places of the low end, the minimum and the high end
+    """
+    covariance = fit.covariance(ends)
+    rises = np.array([[1.0, -1.0, 0.0], [0.0, -1.0, 1.0]])
+    return float(sum(contrast @ covariance @ contrast for contrast in rises))
 
 
 def drawn_curves(fits: list[Posterior], weights: list[float], places: Array, seed: int = 0) -> Array:

@@ -1,13 +1,14 @@
 """Coverage of the 95 % interval of the optimum by simulation: tests/data/interval_coverage.csv.
 
-    python tests/benchmarks/interval_coverage.py [--studies 1000] [--jobs 2] [--out FILE] [--steep | --beside-an-end]
+    python tests/benchmarks/interval_coverage.py [--studies 1000] [--jobs 2] [--out FILE] [--steep | --even | --beside-an-end]
 
 The known curves are fits to the data of dense_sweeps.py. Each simulated study samples them with other pitches (one from each
 equal part of the range in log pitch), residuals and noise. Blocks: `fixed`, a study without a target, which adds a few pitches and
 sensors where its interval has an open end; `loud`, the same where one of the sizes scatters four times as much as the others, as
 one that agrees with the dots; `fixed` for a curve that falls to the end of the range (`at_the_end`), whose interval must be open;
 and `rounds`, which add pitches and sensors, as a study with target_ci_um does, until the interval is short enough. With --steep
-`fixed` and `rounds` are run for curves with a steep flank, into a file of their own. --beside-an-end prints the coverage of studies
+`fixed` and `rounds` are run for curves with a steep flank, into a file of their own. With --even, sizes are in equal ratios between
+ends that are drawn anew, for metrics without noise, ΔE and curves that are known, into interval_coverage_even.csv. --beside-an-end prints the coverage of studies
 whose best size is 1.5 % above the smallest possible one, with 12 sizes in equal ratios from there and 3 sensors, which close an
 open end by more of them.
 """
@@ -26,11 +27,17 @@ import numpy as np
 from joblib import Parallel, delayed, parallel_config
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from helpers.dense_curves import STEEP, Sensors, SimulatedStudy, covers, simulated, simulation_options, truth_of
+from helpers.dense_curves import (
+    STEEP, Sensors, SimulatedStudy, covers, holds, simulated, simulated_even, simulation_options, truth_of
+)  # fmt: skip
 
 from pixsim.studies.optimum import FittedCurve
 
 OUT, OUT_STEEP = (Path(__file__).parents[1] / "data" / f"{name}.csv" for name in ("interval_coverage", "interval_coverage_steep"))
+OUT_EVEN = OUT.with_name("interval_coverage_even.csv")
+EVEN_CURVES = ("information", "detectability", "day", "day_f8", "parabola", "cubic", "powers")
+EVEN_EXACT = ("parabola_exact", "cubic_exact", "powers_exact")
+EVEN_PITCHES = (5, 7, 11)
 CURVES = ("chen2000_0.35um", "evening", "flat", "near_an_end", "skewed")
 AT_THE_END = "at_the_end"
 PITCHES, REPEATS = (7, 11, 16, 24), (2, 4, 8)
@@ -112,6 +119,51 @@ def beside_an_end(studies: int) -> str:
     return f"beside an end: {1 - missed / studies:.3f} of {studies} studies"
 
 
+def even_cell(curve: str, pitches: int, studies: int) -> dict[str, Any]:
+    """Coverage and length of the interval for sizes in equal ratios with two sensors each."""
+    truth = truth_of(curve)
+    held, half_um, error_um, share = [], [], [], []
+    for number in range(studies):
+        study, sensors = simulated_even(curve, number, pitches)
+        best = study.fit(sensors).optimum
+        held.append(holds(best, truth, np.array(list(sensors))))
+        half_um.append(best.half_width_um)
+        error_um.append(abs(best.pitch_um - truth.best_um))
+        share.append(best.between_sizes_share)
+    half, error = float(np.median(half_um)), float(np.quantile(error_um, 0.95))
+    return {
+        "curve": curve,
+        "pitches": pitches,
+        "studies": studies,
+        "best_um": f"{truth.best_um:.4f}",
+        "coverage": f"{np.mean(held):.3f}",
+        "median_half_width_um": f"{half:.4f}",
+        "error_95_um": f"{error:.4f}",
+        "half_width_over_error": f"{half / error:.2f}",
+        "one_sided": f"{np.mean(np.isinf(half_um)):.3f}",
+        "between_sizes_share": f"{np.median(share):.3f}",
+    }
+
+
+def even(studies: int, jobs: int, out: Path) -> None:
+    """Write the table of --even and print its pooled coverage."""
+    with parallel_config(backend="loky", n_jobs=jobs, inner_max_num_threads=1):
+        cells = product((*EVEN_CURVES, *EVEN_EXACT), EVEN_PITCHES)
+        rows = Parallel()(delayed(even_cell)(*cell, studies) for cell in cells)
+    write_rows(out, rows)
+    scattered = [float(row["coverage"]) for row in rows if row["curve"] in EVEN_CURVES]
+    print(f"even:       {np.mean(scattered):.3f} pooled, {min(scattered):.3f} to {max(scattered):.3f}")
+
+
+def write_rows(out: Path, rows: list[dict[str, Any]]) -> None:
+    """Write a table to a file and print it."""
+    with out.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    print(out.read_text(encoding="utf-8"))
+
+
 def pooled(rows: Iterable[dict[str, Any]]) -> str:
     """Text on the coverage of several cells."""
     rows = list(rows)
@@ -125,9 +177,12 @@ def pooled(rows: Iterable[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    options = simulation_options(1000, OUT, OUT_STEEP)
+    options = simulation_options(1000, OUT, OUT_STEEP, OUT_EVEN)
     if options.beside_an_end:
         print(beside_an_end(options.studies))
+        return
+    if options.even:
+        even(options.studies, options.jobs, options.out)
         return
     curves = tuple(STEEP) if options.steep else (*CURVES, AT_THE_END)
     few = max(1, round(ROUNDS_SHARE * options.studies))
@@ -140,11 +195,7 @@ def main() -> None:
         of_rounds = product(curves if options.steep else ROUNDS_OF, STARTS)
         rounds = Parallel()(delayed(rounds_cell)(curve, *start, few, wide[curve]) for curve, start in of_rounds)
     rows = [*fixed, *louder, *rounds]
-    with options.out.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-    print(options.out.read_text(encoding="utf-8"))
+    write_rows(options.out, rows)
     print("fixed:     ", pooled(row for row in fixed if row["curve"] != AT_THE_END))
     if not options.steep:
         print("loud:      ", pooled(louder))

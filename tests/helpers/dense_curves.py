@@ -17,6 +17,7 @@ from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from pixsim.base.arrays import Array
 from pixsim.studies.allocation import next_sensors, next_where_open
@@ -39,6 +40,16 @@ STEEP: dict[str, tuple[float, float, Callable[[Array], Array]]] = {
     "steep_corner": (1.0, 10.0, lambda um: 0.5 + 0.05 * np.log(um / 1.6) ** 2 + 10 * np.exp((1 - um) / 0.08)),
 }
 STEEP_NOISE, STEEP_RESIDUAL = 0.02, 0.005
+# Smooth curves that are known, in the logarithm of the size: a parabola, a skew cubic, a sum of powers. `…_exact` has no scatter.
+FORMS: dict[str, tuple[float, float, Callable[[Array], Array]]] = {
+    "parabola": (0.95, 8.2, lambda um: 1 + 0.5 * np.log(um / 2.5) ** 2),
+    "cubic": (0.95, 8.2, lambda um: 1 + 0.5 * np.log(um / 2.5) ** 2 + 0.2 * np.log(um / 2.5) ** 3),
+    "powers": (0.95, 8.2, lambda um: ((um / 2.5) ** -2.0 + um / 1.25) / 3),
+}
+FORM_NOISE = 0.01
+# Metrics of which more is better, without noise: their reciprocals are fitted, through all values of the sweep.
+WITHOUT_NOISE = ("information", "detectability")
+EVEN_ENDS_UM, EVEN_ENDS_SPREAD = (1.2, 6.5), 0.2  # ends of sizes in equal ratios, and how far their logarithms are drawn from them
 # Scatter of a size that agrees with the dots over that of the others: 1.3 to 1.8 % over .2 to .5 % of the mean ΔE.
 LOUD_NOISE = 4.0
 PLACES = 20001  # samples of a curve: steps of 0.01 % of a pitch
@@ -86,6 +97,15 @@ def truth_of(name: str) -> Truth:
         low_um, high_um, curve_of = STEEP[name]
         log_pitch = np.linspace(np.log(low_um), np.log(high_um), PLACES)
         return Truth(name, None, math.nan, STEEP_NOISE, STEEP_RESIDUAL, log_pitch, curve_of(np.exp(log_pitch)))
+    if (form := name.removesuffix("_exact")) in FORMS:
+        low_um, high_um, curve_of = FORMS[form]
+        log_pitch = np.linspace(np.log(low_um), np.log(high_um), PLACES)
+        return Truth(name, None, math.nan, FORM_NOISE if form == name else 0.0, 0.0, log_pitch, curve_of(np.exp(log_pitch)))
+    if name in WITHOUT_NOISE:
+        pitch_um, mean, _ = np.loadtxt(DATA / f"{name}.csv", delimiter=",", skiprows=1).T
+        log_pitch = np.linspace(np.log(pitch_um[0]), np.log(pitch_um[-1]), PLACES)
+        curve = np.exp(-make_interp_spline(np.log(pitch_um), np.log(mean))(log_pitch))
+        return Truth(name, None, math.nan, 0.0, 0.0, log_pitch, curve)
     pitch_um, mean, spread = np.loadtxt(DATA / f"{name}.csv", delimiter=",", skiprows=1).T
     technology = TECHNOLOGIES.get(name)
     width_um = partial(photodiode_widths_um, load_study("chen2000"), technology) if technology else None
@@ -136,6 +156,11 @@ class SimulatedStudy:
         """One pitch, uniform in its logarithm, from each of `count` equal parts of the range."""
         ends = np.linspace(self.truth.log_pitch[0], self.truth.log_pitch[-1], count + 1)
         return np.exp(self.rng.uniform(ends[:-1], ends[1:]))
+
+    def even_pitches_um(self, count: int) -> Array:
+        """`count` pitches in equal ratios, whose ends are drawn anew."""
+        first, last = np.log(EVEN_ENDS_UM) + self.rng.uniform(-EVEN_ENDS_SPREAD, EVEN_ENDS_SPREAD, 2)
+        return np.exp(np.linspace(first, last, count))
 
     def measured(self, sensors: Sensors) -> tuple[Array, Array]:
         """Pitches (P,) and mean ΔE of their sensors (P, R), padded with NaN."""
@@ -196,7 +221,23 @@ def covers(optimum: Optimum, truth: Truth, pitch_um: Array) -> bool:
     return above and below
 
 
-def simulation_options(studies: int, out: Path | None, out_steep: Path | None = None) -> argparse.Namespace:
+def simulated_even(name: str, number: int, pitches: int, repeats: int = 2) -> tuple[SimulatedStudy, Sensors]:
+    """The simulated study of sizes in equal ratios with a `number`, and its sensors; the same on every machine."""
+    study = SimulatedStudy(truth_of(name), np.random.default_rng([zlib.crc32(name.encode()), pitches, repeats, number, 1]))
+    return study, dict.fromkeys(study.even_pitches_um(pitches).tolist(), repeats)
+
+
+def holds(optimum: Optimum, truth: Truth, pitch_um: Array) -> bool:
+    """Whether the interval contains the true minimum; an open end counts only within a step of the end of the sizes."""
+    low, high = optimum.interval_um
+    above = truth.best_um <= pitch_um[1] if low is None else low <= truth.best_um
+    below = truth.best_um >= pitch_um[-2] if high is None else truth.best_um <= high
+    return bool(above and below)
+
+
+def simulation_options(
+    studies: int, out: Path | None, out_steep: Path | None = None, out_even: Path | None = None
+) -> argparse.Namespace:
     """Command-line options of a benchmark of simulated studies; with `out_steep`, those of steep curves are a choice."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--studies", type=int, default=studies)
@@ -204,7 +245,12 @@ def simulation_options(studies: int, out: Path | None, out_steep: Path | None = 
     parser.add_argument("--out", type=Path)
     if out_steep:
         parser.add_argument("--steep", action="store_true", help="of curves with a steep flank")
+        parser.add_argument("--even", action="store_true", help="of sizes in equal ratios, also of metrics without noise")
         parser.add_argument("--beside-an-end", action="store_true", help="of the best size beside the smallest possible one, alone")
     options = parser.parse_args()
-    options.out = options.out or (out_steep if out_steep and options.steep else out)
+    if out_steep and options.steep:
+        options.out = options.out or out_steep
+    elif out_even and options.even:
+        options.out = options.out or out_even
+    options.out = options.out or out
     return options

@@ -27,7 +27,7 @@ from pixsim.studies.allocation import (
     additions,
     next_sensors,
     next_where_open,
-    rise_variance,
+    predicted_variance,
 )
 from pixsim.studies.optimum import STEEP, FittedCurve, Posterior, fit_curve
 from pixsim.studies.result import Curve, StudyResult, curve_of, open_notes, target_notes
@@ -202,14 +202,14 @@ def test_next_sensors_choose_lowest_variance(fit: FittedCurve) -> None:
     now = START
     for _ in range(ROUND):
         options = [now | {pitch_um: count} for pitch_um, count in additions(fit, now, 32).items()]
-        now = min(options, key=lambda sensors: rise_variance(fit, sensors))
+        now = min(options, key=lambda sensors: predicted_variance(fit, sensors))
     assert dict(sorted(now.items())) == next_sensors(fit, START, 32)
 
 
-def test_rise_variance_falls_with_additions(fit: FittedCurve) -> None:
-    now = rise_variance(fit, START)
+def test_predicted_variance_falls_with_additions(fit: FittedCurve) -> None:
+    now = predicted_variance(fit, START)
     for pitch_um, count in additions(fit, START, 32).items():
-        assert 0 < rise_variance(fit, START | {pitch_um: count}) < now
+        assert 0 < predicted_variance(fit, START | {pitch_um: count}) < now
 
 
 @pytest.mark.parametrize("steep", [False, True])
@@ -229,7 +229,7 @@ def test_rise_variance_matches_covariance(steep: bool) -> None:
         posterior = Posterior(replace(best.design, noise=fit.noise * level**2), best.stiffness, best.residual, PITCH)
     covariance = posterior.covariance(fit.places_of(np.array([low, fit.optimum.pitch_um, high])))
     rises = sum(covariance[end, end] + covariance[1, 1] - 2 * covariance[end, 1] for end in (0, 2))
-    assert rise_variance(fit, START) == pytest.approx(rises, rel=1e-9 if steep else 1e-6)
+    assert predicted_variance(fit, START) == pytest.approx(rises, rel=1e-9 if steep else 1e-6)
 
 
 # --- Rounds of a study -------------------------------------------------------------------------------------------------
