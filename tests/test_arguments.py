@@ -255,7 +255,8 @@ def records(name: str) -> dict[str, Any]:
         return {"dn": FRAME.dn}
     if thing.__name__ == "Optimum":
         ranges = dict.fromkeys(("interval_um", "within_1_percent_um", "within_2_percent_um"), (4.0, 6.0))
-        return {"pitch_um": 5.0, "mean_delta_e": 1.0, "mean_delta_e_interval": (0.9, 1.1), "inside": True, **ranges}
+        numbers = {"pitch_um": 5.0, "mean_delta_e": 1.0, "mean_delta_e_interval": (0.9, 1.1), "between_sizes_share": 0.2}
+        return {**numbers, "inside": True, **ranges}
     if issubclass(thing, BaseModel):
         of = {"Study": STUDY, "Technology": TECHNOLOGY, "Junction": TECHNOLOGY.junction}
         if thing.__name__ in of:

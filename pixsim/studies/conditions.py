@@ -15,11 +15,11 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.studies.optimum import (
+    CREDIBILITY,
     FINE_PLACES,
     PLACES,
     FittedCurve,
     Optimum,
-    credibility,
     drawn_curves,
     measured,
     minima,
@@ -192,7 +192,7 @@ def least_worst_regret(curves: Sequence[Curve]) -> Regret | None:
             loss = np.maximum(loss, LEAST_LOSS * curve.optimum.mean_delta_e)
         drawn = np.maximum(drawn, metric.worse_by(metric.of_loss(loss), metric.of_loss(loss.min(axis=1, keepdims=True))))
     minima_um = np.exp(minima(np.log(places_um), drawn))
-    tail = (1 - max(credibility(curve.fit.logarithmic) for curve in curves)) / 2
+    tail = (1 - CREDIBILITY) / 2
     low, high = np.clip(np.quantile(minima_um, (tail, 1 - tail)), low_um, high_um)
     # The fitted curve is taken at more places than the drawn ones, whose least can miss its own by part of a step.
     ends: list[float | None] = [min(float(low), float(fine_um[best])), max(float(high), float(fine_um[best]))]

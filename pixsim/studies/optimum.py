@@ -48,11 +48,13 @@ CONFIDENCE = 0.95
 # Part of the posterior that is stated: it contains the minimum in 95 % of simulated studies (tests/benchmarks/interval_coverage.py).
 CREDIBILITY = 0.93
 # Stiffness k in units of the mean ΔE: dense sweeps gave 0.2 to 5 (tests/data/dense_sweeps), and a parabola has none.
-STIFFNESS = np.geomspace(1e-3, 8.0, 12)
-USUAL_STIFFNESS, STIFFNESS_SPREAD = 1.0, 2.0  # median and logarithmic standard deviation of its prior
+STIFFNESS = np.geomspace(1e-3, 32.0, 14)
+# Median and mean absolute logarithmic deviation of its prior, a Laplace distribution of log k: the tails admit a parabola.
+USUAL_STIFFNESS, STIFFNESS_SPREAD = 1.5, 0.7
 # Logarithmic standard deviation of the stiffness between the sizes beside the minimum over that of all sizes. By information, the
 # sizes of a study show 0.3 to 1.5 where the curve between them has 4.
 LOCAL_SPREAD = 1.5
+LARGEST_LOCAL = 8.0  # that is assumed without being shown by the sizes; a larger one is that of the whole curve
 # Residual t in units of a sensor's noise; those sweeps gave at most 0.1, and with centred pixels (in release 1.0.0) 0.2 to 0.5.
 RESIDUALS = (0.0, 0.1, 0.25, 0.5)
 LOUD = 0.01  # chance that a study of equal scatter has a pitch that keeps its own
@@ -465,9 +467,12 @@ def posteriors(data: Measured) -> tuple[list[Posterior], list[float]]:
         scaled = Design(design.u, design.noise * variance, design.sensors)
         fits += [Posterior(scaled, *pair, y) for pair in product(STIFFNESS.tolist(), RESIDUALS)]
     logs = np.array([fit.log_likelihood for fit in fits]).reshape(len(NOISE_QUANTILES), STIFFNESS.size, len(RESIDUALS))
-    logs -= (np.log(STIFFNESS / USUAL_STIFFNESS)[:, None] / STIFFNESS_SPREAD) ** 2 / 2
+    logs -= np.abs(np.log(STIFFNESS / USUAL_STIFFNESS))[:, None] / STIFFNESS_SPREAD
     common = np.exp(logs - logs.max())
     local = np.exp(-((np.log(STIFFNESS[:, None] / STIFFNESS) / LOCAL_SPREAD) ** 2) / 2)
+    is_shown = STIFFNESS > LARGEST_LOCAL
+    local[is_shown] = local[:, is_shown] = 0.0
+    local[is_shown, is_shown] = 1.0
     weights = np.einsum("kj,qjr->qkr", local / local.sum(axis=0), common).ravel()
     weights /= weights.sum()
     order = np.argsort(-weights, kind="stable")
@@ -478,9 +483,13 @@ def posteriors(data: Measured) -> tuple[list[Posterior], list[float]]:
 def between_sizes_share(fits: list[Posterior], weights: list[float], ends: Array) -> float:
     """Return the share of the variance of a curve's rises that would stay if the values at the sizes tried were exact, 0 to 1.
 
+    0 where the interval has no length, as where it goes on beyond the sizes tried alone.
+
     fits, weights : posteriors and their weights, of sum 1
     ends : (3,) places of the low end, the minimum and the high end of the interval; the curve rises from the second to the others
     """
+    if not np.ptp(ends):
+        return 0.0
     exact = replace(fits[0].design, noise=np.zeros(fits[0].u.size))
     of_unit_stiffness = rise_variance(Posterior(exact, 1.0, 0.0, np.zeros(exact.u.size)), ends)  # of exact values, variance ~ k²
     shares = [min(1.0, of_unit_stiffness * fit.stiffness**2 / rise_variance(fit, ends)) for fit in fits]

@@ -120,16 +120,18 @@ def beside_an_end(studies: int) -> str:
 
 
 def even_cell(curve: str, pitches: int, studies: int) -> dict[str, Any]:
-    """Coverage and length of the interval for sizes in equal ratios with two sensors each."""
+    """Coverage and length of the interval for sizes in equal ratios with two sensors each, and more where an end is open."""
     truth = truth_of(curve)
-    held, half_um, error_um, share = [], [], [], []
+    held, half_um, error_um, share, evaluations = [], [], [], [], []
     for number in range(studies):
         study, sensors = simulated_even(curve, number, pitches)
-        best = study.fit(sensors).optimum
+        sensors, fit = study.refined(sensors, MAX_SENSORS)
+        best = fit.optimum
         held.append(holds(best, truth, np.array(list(sensors))))
         half_um.append(best.half_width_um)
         error_um.append(abs(best.pitch_um - truth.best_um))
         share.append(best.between_sizes_share)
+        evaluations.append(sum(sensors.values()))
     half, error = float(np.median(half_um)), float(np.quantile(error_um, 0.95))
     return {
         "curve": curve,
@@ -142,6 +144,7 @@ def even_cell(curve: str, pitches: int, studies: int) -> dict[str, Any]:
         "half_width_over_error": f"{half / error:.2f}",
         "one_sided": f"{np.mean(np.isinf(half_um)):.3f}",
         "between_sizes_share": f"{np.median(share):.3f}",
+        "mean_evaluations": f"{np.mean(evaluations):.1f}",
     }
 
 

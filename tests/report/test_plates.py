@@ -50,7 +50,7 @@ def evidence(tiny_result: StudyResult) -> Evidence:
 def optimum(size_um: float, least: float, inside: bool = True) -> Optimum:
     """A minimum that is known to 2 %, 5 % upwards."""
     interval_um = 0.98 * size_um, 1.05 * size_um if inside else None
-    return Optimum(size_um, interval_um, least, (0.99 * least, 1.01 * least), inside, (6.6, 8.4), (6.1, None))
+    return Optimum(size_um, interval_um, least, (0.99 * least, 1.01 * least), inside, 0.2, (6.6, 8.4), (6.1, None))
 
 
 def scaled(result: StudyResult) -> StudyResult:

@@ -11,7 +11,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from helpers.dense_curves import covers, simulated
+from helpers.dense_curves import covers, holds, simulated, simulated_even
 from helpers.processes import HANG_S
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal
@@ -412,6 +412,42 @@ def test_fit_curve_is_independent_of_blas_threads() -> None:
 
 
 # --- Coverage ----------------------------------------------------------------------------------------------------------
+
+
+EVEN = [("information", 7), ("detectability", 5), ("day", 7), ("parabola", 5), ("cubic", 7), ("powers", 11)]
+EVEN_STUDIES = 25
+
+
+def test_fit_curve_interval_coverage_of_even_sizes() -> None:
+    """Of metrics without noise, of ΔE, and of known curves, in 90 to 100 % of 150 studies, whose numbers are drawn from fixed seeds.
+
+    An interval that covers 95 % does so in fewer than 90 % of 150 studies by chance 4 times in 1000. That of release 1.1 covered
+    33 % for information, and 85 % in all. The whole table is made by tests/benchmarks/interval_coverage.py --even.
+    """
+    held: dict[str, int] = {}
+    for curve, pitches in EVEN:
+        half_um, error_um = [], []
+        for number in range(EVEN_STUDIES):
+            study, sensors = simulated_even(curve, number, pitches)
+            best = study.fit(sensors).optimum
+            held[curve] = held.get(curve, 0) + holds(best, study.truth, np.array(list(sensors)))
+            half_um.append(best.half_width_um)
+            error_um.append(abs(best.pitch_um - study.truth.best_um))
+        assert np.median(half_um) < 4 * np.quantile(error_um, 0.95), curve  # at most 3 in the whole table, but at five sizes
+    assert held["information"] >= 0.8 * EVEN_STUDIES
+    assert 0.9 * EVEN_STUDIES * len(EVEN) <= sum(held.values())
+
+
+@pytest.mark.parametrize("curve", ["cubic_exact", "powers_exact"])  # a parabola leaves rounding errors alone
+def test_fit_curve_interval_of_exact_values_is_all_between_sizes(curve: str) -> None:
+    """Without noise nothing else is unknown; with an independent scatter of 1 % most of the interval is noise at 11 sizes."""
+    for number in range(5):
+        study, sensors = simulated_even(curve, number, 7)
+        best = study.fit(sensors).optimum
+        assert holds(best, study.truth, np.array(list(sensors)))
+        assert 0.85 < best.between_sizes_share <= 1
+        study, sensors = simulated_even(curve.removesuffix("_exact"), number, 11)
+        assert 0 <= study.fit(sensors).optimum.between_sizes_share < 0.5
 
 
 STUDIES = 200
