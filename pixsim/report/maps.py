@@ -306,7 +306,8 @@ def case_columns(result: CasesResult, curves: Sequence[Curve], axes: Sequence[st
 
 
 OWN_COLUMNS = (
-    *("technology", "condition", "axis", "value", "optimum_um", "interval_low_um", "interval_high_um", "inside", "alike"),
+    *("technology", "condition", "axis", "value", "optimum_um", "interval_low_um", "interval_high_um", "between_sizes_share"),
+    *("inside", "alike"),
     *("mean_delta_e", "mean_delta_e_low", "mean_delta_e_high", "pitch_um", "within_1_percent_low_um", "within_1_percent_high_um"),
     *("cutoff_pitch_um", "fresnel_number"),
 )
@@ -332,6 +333,7 @@ def optimum_columns(curves: Sequence[Curve]) -> dict[str, Column]:
     return {
         "optimum_um": [each.pitch_um for each in best],
         **range_columns("interval", curves),
+        "between_sizes_share": [each.between_sizes_share for each in best],
         "inside": [str(each.inside) for each in best],
         "alike": [str(curve.alike_um is not None) for curve in curves],
         name: [each.value for each in best],
@@ -356,6 +358,7 @@ def _metric_columns(metric: str, curves: Sequence[Curve]) -> dict[str, Column]:
         f"{metric}_optimum_um": [None if each is None else each.pitch_um for each in optima],
         f"{metric}_interval_low_um": [None if each is None else each.interval_um[0] for each in optima],
         f"{metric}_interval_high_um": [None if each is None else each.interval_um[1] for each in optima],
+        f"{metric}_between_sizes_share": [None if each is None else each.between_sizes_share for each in optima],
         f"best_{metric}": [None if each is None else each.value for each in optima],
     }
     return {name: ["" if value is None else value for value in column] for name, column in values.items()}

@@ -119,7 +119,8 @@ def place_words(optimum: Optimum, sizes_um: Array) -> str:
     end, (low, high) = "" if optimum.inside else ", the end of the sizes", optimum.interval_um
     if interval((low, high)) in (interval((None, sizes_um[0])), interval((sizes_um[-1], None))):
         return f"{optimum.pitch_um:.2f} µm{end} (95 %: at it or beyond)"
-    return f"{optimum.pitch_um:.2f} µm{end} (95 %: {interval(optimum.interval_um)})"
+    stated = f"95 %: {interval(optimum.interval_um)}; {optimum.between_sizes_share:.0%} between sizes"
+    return f"{optimum.pitch_um:.2f} µm{end} ({stated})"
 
 
 def agreement_words(curve: Curve) -> list[str]:

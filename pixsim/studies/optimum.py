@@ -45,7 +45,7 @@ from pixsim.sensor.quantities import Pitch
 
 NO_VISIBLE_DELTA_E = 0.05  # of mean ΔE between two pixel sizes
 CONFIDENCE = 0.95
-# Part of the posterior that is stated: it contains the minimum in 95 % of simulated studies (tests/benchmarks/interval_coverage.py).
+# Part of the posterior that is stated, which holds the minimum in 95 % of simulated studies (docs/uncertainty.md).
 CREDIBILITY = 0.93
 # Stiffness k in units of the mean ΔE: dense sweeps gave 0.2 to 5 (tests/data/dense_sweeps), and a parabola has none.
 STIFFNESS = np.geomspace(1e-3, 32.0, 14)

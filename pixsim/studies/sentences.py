@@ -69,7 +69,8 @@ def _optimum_parts(curve: Curve) -> list[Text]:
         metric, best = curve.metrics[0], curve.optimum
         value = f"{metric.title} {value_words(metric, best)}"
         if best.inside:
-            return [("optimal pixel size ", Strong(f"{best.pitch_um:.2f} µm"), f" (95 %: {interval_words(curve)}), {value}")]
+            stated = f"95 %: {interval_words(curve)}; {best.between_sizes_share:.0%} between sizes"
+            return [("optimal pixel size ", Strong(f"{best.pitch_um:.2f} µm"), f" ({stated}), {value}")]
         ends = f"no optimum between {curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm"
         return [ends, f"the best is {best.pitch_um:.2f} µm, the end of the range (95 %: {interval_words(curve)}), {value}"]
     if curve.alike_um:
@@ -108,13 +109,14 @@ def optima_table(curves: Sequence[Curve]) -> Table:
                 curve.label,
                 alike_words(curve) if curve.alike_um else size,
                 interval_words(curve),
+                f"{100 * best.between_sizes_share:.0f}",
                 _least_words(curve, ".3f" if by_delta_e else ".4g", sure or not by_delta_e),
                 *within,
                 *([f"{100 * curve.optimum_fill_factor:.0f}"] * partly),
             )
         )
     value = "mean ΔE" if by_delta_e else curves[0].metrics[0].label
-    head = ("pixel", "optimum (µm)", "95 % interval", f"{value} (95 %)", "within 1 % of it", "within 2 %")
+    head = ("pixel", "optimum (µm)", "95 % interval", "between sizes (%)", f"{value} (95 %)", "within 1 % of it", "within 2 %")
     return Table("optima", (*head, *["fill factor (%)"] * partly), rows, words=None)
 
 

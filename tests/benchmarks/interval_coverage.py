@@ -8,9 +8,9 @@ sensors where its interval has an open end; `loud`, the same where one of the si
 one that agrees with the dots; `fixed` for a curve that falls to the end of the range (`at_the_end`), whose interval must be open;
 and `rounds`, which add pitches and sensors, as a study with target_ci_um does, until the interval is short enough. With --steep
 `fixed` and `rounds` are run for curves with a steep flank, into a file of their own. With --even, sizes are in equal ratios between
-ends that are drawn anew, for metrics without noise, ΔE and curves that are known, into interval_coverage_even.csv. --beside-an-end prints the coverage of studies
-whose best size is 1.5 % above the smallest possible one, with 12 sizes in equal ratios from there and 3 sensors, which close an
-open end by more of them.
+ends that are drawn anew, for metrics without noise, ΔE and known curves, into interval_coverage_even.csv. --beside-an-end prints
+the coverage of studies whose best size is 1.5 % above the smallest possible one, with 12 sizes in equal ratios from there and 3
+sensors, which close an open end by more of them.
 """
 
 from __future__ import annotations
@@ -28,7 +28,15 @@ from joblib import Parallel, delayed, parallel_config
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from helpers.dense_curves import (
-    STEEP, Sensors, SimulatedStudy, covers, holds, simulated, simulated_even, simulation_options, truth_of
+    STEEP,
+    Sensors,
+    SimulatedStudy,
+    covers,
+    holds,
+    simulated,
+    simulated_even,
+    simulation_options,
+    truth_of,
 )  # fmt: skip
 
 from pixsim.studies.optimum import FittedCurve

@@ -419,10 +419,10 @@ EVEN_STUDIES = 25
 
 
 def test_fit_curve_interval_coverage_of_even_sizes() -> None:
-    """Of metrics without noise, of ΔE, and of known curves, in 90 to 100 % of 150 studies, whose numbers are drawn from fixed seeds.
+    """Of metrics without noise, of ΔE, and of known curves, at least 90 % of 150 studies with numbers from fixed seeds.
 
-    An interval that covers 95 % does so in fewer than 90 % of 150 studies by chance 4 times in 1000. That of release 1.1 covered
-    33 % for information, and 85 % in all. The whole table is made by tests/benchmarks/interval_coverage.py --even.
+    An interval that covers 95 % covers fewer of 150 studies 4 times in 1000. Without `LOCAL_SPREAD` it covers 37 % for information
+    at 7 sizes. The whole table is made by tests/benchmarks/interval_coverage.py --even.
     """
     held: dict[str, int] = {}
     for curve, pitches in EVEN:
@@ -459,16 +459,20 @@ COVERED = [
 @pytest.mark.slow
 @pytest.mark.parametrize(("curve", "repeats"), COVERED)
 def test_fit_curve_interval_coverage(curve: str, repeats: int) -> None:
-    """In 90 to 99 % of the studies, whose numbers are drawn from fixed seeds.
+    """In at least 90 % of the studies, whose numbers are drawn from fixed seeds; and no interval is far longer than it must be.
 
-    Another 200 studies would fail by chance 2 times in 1000 where the interval covers 95 %, 3 times at 96 % and 16 times at
-    97 %; by tests/benchmarks/interval_coverage.py it covers 94 to 97 % in these cells.
+    An interval that covers 95 % would cover fewer of 200 studies by chance 1 time in 1000. Smooth curves with little noise are
+    covered in 97 to 100 % (tests/data/interval_coverage.csv), so that half an interval is up to three times the error.
     """
-    held = 0
+    held, half_um, error_um = 0, [], []
     for number in range(STUDIES):
         study, sensors = simulated(curve, number, 16, repeats)
-        held += covers(study.fit(sensors).optimum, study.truth, np.array(list(sensors)))
-    assert 0.9 * STUDIES <= held <= 0.99 * STUDIES
+        best = study.fit(sensors).optimum
+        held += covers(best, study.truth, np.array(list(sensors)))
+        half_um.append(best.half_width_um)
+        error_um.append(abs(best.pitch_um - study.truth.best_um))
+    assert held >= 0.9 * STUDIES
+    assert np.median(half_um) < 3 * np.quantile(error_um, 0.95)
 
 
 @pytest.mark.parametrize("level", [0.0, 1e-12, 0.5, 1e6])
