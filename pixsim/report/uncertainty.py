@@ -1,104 +1,118 @@
-"""The document of what is not known: the distribution of each optimum over sensor types, and which inputs matter."""
+"""The document of what is not known: the distribution of each optimum over sensor types, and the shares of its variance."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
-from pixsim.show.document import Answer, Block, Document, Fact, Link, Listed, Plot, Section, Table, headline
+from pixsim.show.document import Answer, Block, Document, Fact, Link, Plot, Section, Table, headline
+from pixsim.show.figures import COLOURS, literal, new_figure, own_style
 from pixsim.show.pages import Plate, figure_files
-from pixsim.show.sentences import capital, with_ends
-from pixsim.studies.claims import SCALING
+from pixsim.show.sentences import capital
 from pixsim.studies.result import StudyResult
-from pixsim.studies.uncertainty import NORMAL_95, UncertaintyResult, distribution_plate, indices_plate, quantile_words
+from pixsim.studies.uncertainty import SCATTER, UncertaintyResult, input_labels
 
 PAGE, DATA = "uncertainty.html", "uncertainty.json"
+MOST_BARS = 30  # of a histogram
 MOST_RESULTS = 20  # technologies × values × conditions with a section of the page
 DRAWN = (
     "Numbers of the sensor that are known only within a range are drawn at random from it, all at once. Each draw is a sensor "
     "type; the study finds its optimum. All types have the same random numbers, so that they differ by their inputs only. "
 )
+DISTRIBUTION = (
+    "Numbers of sensor types by their optimal pixel size (left) and their best value (right). Vertical lines: the median; grey: "
+    "nine tenths. An optimum at an end of the sizes tried counts as that size."
+)
+SHARES = (
+    "Shares of the variance, each with its standard error for independent draws. Numbers whose order ties them are one input. The "
+    "share of the scatter is an upper end, by the interval of each type's own curve."
+)
 
 
 def uncertainty_files() -> set[str]:
     """Return the names of all files of `uncertainty_document`."""
-    kinds = [f"uncertainty_{kind}_{number}" for number in range(1, MOST_RESULTS + 1) for kind in ("distribution", "indices")]
-    return {PAGE, DATA, *figure_files(kinds), *(f"sensor_types_{number}.csv" for number in range(1, MOST_RESULTS + 1))}
+    numbers = range(1, MOST_RESULTS + 1)
+    figures = figure_files([f"uncertainty_distribution_{number}" for number in numbers])
+    return {PAGE, DATA, *figures, *(f"sensor_types_{number}.csv" for number in numbers)}
 
 
 def uncertainty_document(result: StudyResult) -> Document:
-    """Return what the study of sensor types finds, with a table of the types and the figures of each optimum."""
-    study, found = result.study, list(enumerate(result.uncertainty[:MOST_RESULTS], 1))
-    shown = uncertainty_blocks(result.uncertainty)
+    """Return the results of the sensor types of a study, with a table of the types and a figure of each optimum."""
+    study, results = result.study, list(enumerate(result.uncertainty[:MOST_RESULTS], 1))
+    blocks = uncertainty_blocks(result.uncertainty)
     return Document(
         command="study",
         kind="study with unknown inputs",
         title=f"What is not known: {study.title or study.name}",
-        data={"study": study.name, "results": [_data(each) for _, each in found]},
-        answers=[block for block in shown if isinstance(block, Answer)],
-        lead=[block for block in shown if not isinstance(block, Answer)],
+        data={"study": study.name, "results": [uncertainty.as_dict() for _, uncertainty in results]},
+        answers=[block for block in blocks if isinstance(block, Answer)],
+        lead=[block for block in blocks if not isinstance(block, Answer)],
         about=((DRAWN, Link("The study itself", "report.html"), "."),),
         sections=tuple(
             Section(f"pixel-{number}", f"{capital(each.label) or 'Optimum'}{each.by}", tuple(_blocks(each, number)))
-            for number, each in found
+            for number, each in results
         ),
-        files={f"sensor_types_{number}.csv": each.to_csv() for number, each in found},
+        files={f"sensor_types_{number}.csv": uncertainty.to_csv() for number, uncertainty in results},
         data_file=DATA,
         page=PAGE,
     )
 
 
-def _data(found: UncertaintyResult) -> dict[str, Any]:
-    """Return the result of one optimum, with total indices in place of those of the first order."""
-    content = found.as_dict()
-    if found.total:
-        del content["first_order"]
-        content["indices"] = found.total_indices
-    return content
-
-
-def _blocks(found: UncertaintyResult, number: int) -> list[Block]:
-    """Return the figures, tables and statements of one optimum."""
-
-    def numbered(make: Callable[[UncertaintyResult], Plate]) -> Plate:
-        plate = make(found)
-        return replace(plate, name=f"{plate.name}_{number}")
-
-    makers = [distribution_plate] if found.total else [distribution_plate, indices_plate]
-    blocks: list[Block] = [Plot(partial(numbered, make)) for make in makers]
-    if found.verdicts:
-        rows = [(name, str(probability)) for name, probability in found.verdicts.items()]
+def _blocks(result: UncertaintyResult, number: int) -> list[Block]:
+    """Return the figure and the tables of one optimum."""
+    blocks: list[Block] = [Plot(partial(distribution_plate, result, f"uncertainty_distribution_{number}"))]
+    if result.verdicts:
+        rows = [(name, str(probability)) for name, probability in result.verdicts.items()]
         blocks.append(Table("probabilities", ("statement", "probability that it holds (95 % interval)"), rows, words=None))
-    if found.total:
-        titles = {output: capital(words.partition(" (")[0]) for output, words in found.outputs.items()}
-        blocks += [indices_table(titles[output], indices) for output, indices in found.total_indices.items()]
-    blocks.append(Listed(f"{line}." for line in found.statements))
+    blocks.append(shares_table(result))
     return [*blocks, (Link("All sensor types (CSV)", f"sensor_types_{number}.csv"),)]
 
 
-def indices_table(output: str, indices: Mapping[str, Mapping[str, Any]]) -> Table:
-    """Return the shares of an output's variance that inputs have alone and with all interactions."""
-    shares = {
-        name: (with_ends(index[kind]["share"], (index[kind]["low"], index[kind]["high"]), ".2f") for kind in ("first", "total"))
-        for name, index in indices.items()
-    }
-    caption = f"{output}: shares of its variance, with 95 % intervals"
-    rows = [(name, *own) for name, own in shares.items()]
-    return Table(caption, ("input", "alone", "with all interactions"), rows, caption, words=None)
+def shares_table(result: UncertaintyResult) -> Table:
+    """Return the shares of the variance of both results that inputs explain alone, and with all interactions if known."""
+    head = ["input"]
+    for name in ("optimal size", result.metric.best):
+        head += [f"{name}: alone", f"{name}: with all interactions"] if result.total else [f"{name}: alone"]
+    labels = input_labels(result.sample) | {SCATTER: SCATTER}
+    rows = [
+        (label, *(str(share) for shares in result.shares.values() for share in shares[name].values()))
+        for name, label in labels.items()
+    ]
+    return Table("shares of the variance", head, rows, SHARES, words=None)
 
 
-def uncertainty_blocks(found: Sequence[UncertaintyResult]) -> tuple[Block, ...]:
-    """Return the distributions and the probabilities of all verdicts."""
+@own_style()
+def distribution_plate(result: UncertaintyResult, name: str) -> Plate:
+    """Plot histograms of the optimum and of the least ΔE, or of the best value, over the sensor types."""
+    figure = new_figure(9.0, 3.2)
+    unit = f" ({result.metric.unit})" if result.metric.unit else ""
+    distributions = {"optimal pixel size (µm)": result.optimum, f"{result.metric.best}{unit}": result.least_delta_e}
+    for axes, (title, distribution) in zip(figure.subplots(1, 2), distributions.items(), strict=True):
+        low, median, high = distribution.quantiles.values()
+        axes.axvspan(low, high, color="0.9", lw=0)
+        axes.hist(
+            distribution.values, bins=MOST_BARS if result.draws > MOST_BARS**2 else "sqrt", color=COLOURS[0], edgecolor="white"
+        )
+        axes.axvline(median, color="0.2", lw=1.2)
+        axes.set(xlabel=literal(title), ylabel="sensor types")
+        axes.locator_params(axis="y", integer=True)  # counts
+    table = {column: result.table[column].tolist() for column in (*result.outputs, "inside")}
+    return Plate(name, DISTRIBUTION, figure, table)
+
+
+def uncertainty_blocks(results: Sequence[UncertaintyResult]) -> tuple[Block, ...]:
+    """Return the quantiles of each optimum, and the probabilities of all verdicts."""
     blocks: list[Block] = []
-    for each in found:
-        median, most = (quantile_words(each.optimum, ".2f", " µm", *names) for names in (("p50",), ("p05", "p95")))
-        name = f"{each.label}: " if each.label else ""
-        types = f"{len(each.outcomes)} sensor types"
-        own = f"each is known to ±{NORMAL_95 * each.optimum.own_sd:.2g} µm by its own 95 % interval" if each.optimum.own_sd else ""
-        blocks.append(headline([f"{name}optimum{each.by} of {types}: median {median}, nine tenths {most}", own]))
-        own_verdicts = {statement: words for statement, words in each.verdicts.items() if statement not in SCALING}
-        blocks += [Fact(f"{name}probability{each.by} that {statement}: {words}") for statement, words in own_verdicts.items()]
-    of_all = {statement: words for each in found for statement, words in each.verdicts.items() if statement in SCALING}
-    return (*blocks, *(Fact(f'probability of "{statement}": {words}') for statement, words in of_all.items()))
+    for result in results:
+        low, median, high = (f"{size_um:.2f} µm" for size_um in result.optimum.quantiles.values())
+        name = f"{result.label}: " if result.label else ""
+        types = f"{result.draws} sensor types"
+        at_ends = f"{result.share_at_ends:.0%} at an end of the sizes tried" if result.share_at_ends else ""
+        blocks.append(
+            headline([f"{name}optimum{result.by} of {types}: median {median}, nine tenths from {low} to {high}", at_ends])
+        )
+        blocks += [
+            Fact(f"{name}probability{result.by} that {statement}: {probability}")
+            for statement, probability in result.verdicts.items()
+        ]
+    return tuple(blocks)

@@ -355,39 +355,63 @@ def numbers_in(rows: Sequence[Row], column: str) -> Array:
 def differences_of_types(
     types: Types, result: Comparison, pairs: Sequence[Sequence[Lit]], file: Path | None, workers: Workers | None, progress: Progress
 ) -> list[PairUncertainty]:
-    """Evaluate the sensor types of both sensors of each pair under all conditions, and return what is known of their differences.
+    """Evaluate the sensor types of both sensors of each pair under all conditions, and return the differences of each pair.
 
-    Those of ΔE come first for each pair, then those of further metrics.
-
-    Warns of pairs without an unknown number, of which there is nothing to tell.
+    Those of ΔE come first for each pair, then those of further metrics. Warns of pairs without an unknown number.
 
     result : with the sensors as they are
     pairs : the light of each pair
     file : as `results` of `observed_in`
     """
-    unsure: list[tuple[Averaged, Sequence[Lit]]] = []
-    for pair, lit in zip(result.pairs, pairs, strict=True):
+    uncertain: list[tuple[Averaged, Sequence[Lit]]] = []
+    for pair, lineups in zip(result.pairs, pairs, strict=True):
         if sample_of(types.sample, *pair.names).inputs:
-            unsure.append((pair, lit))
+            uncertain.append((pair, lineups))
         else:
             warn(f"{' and '.join(pair.names)}: no number of these two is unknown, so that nothing is drawn for them")
-    wanted = {
-        (each, series.name): series for pair, lit in unsure for each in lit for series in each.series if series.name in pair.names
+    base_series = {
+        (lineup, series.name): series
+        for pair, lineups in uncertain
+        for lineup in lineups
+        for series in lineup.series
+        if series.name in pair.names
     }
-    count = len(types.sample.quantiles)
-    series = [of_type for own in wanted.values() for of_type in series_of_types(own, types)]
-    rows, metrics = rows_of(series, FEW_SENSORS, file, workers, progress), series[0].imaging.judging.metrics
-    of_types: dict[str, dict[tuple[Lit, str], Array]] = {}
+    drawn_series = [drawn for series in base_series.values() for drawn in series_of_types(series, types)]
+    rows = rows_of(drawn_series, FEW_SENSORS, file, workers, progress)
+    metrics = drawn_series[0].imaging.judging.metrics
+
+    values: dict[tuple[str, Lit, str], Array] = {}  # (types, frames) of a metric, of a sensor in a light
     for metric in metrics:
-        values = np.array([numbers_in(own, metric.columns[0]) for own in rows])
-        of_types[metric.name] = dict(zip(wanted, values.reshape(len(wanted), count, FEW_SENSORS).mean(axis=2), strict=True))
-    found = []
-    for (pair, lit), metric in product(unsure, metrics):
-        (first, other), drawn_of = pair.names, of_types[metric.name]
-        weighted = [(weight, each) for (weight, _), each in zip(pair.parts, lit, strict=True) if weight]
-        drawn = sum(weight * (drawn_of[each, other] - drawn_of[each, first]) for weight, each in weighted)
-        of_frames = pair.delta_e if metric.is_delta_e else pair.judged[metric.name]
-        differences = of_frames[other] - of_frames[first]
+        table = np.array([numbers_in(series_rows, metric.columns[0]) for series_rows in rows])
+        blocks = table.reshape(len(base_series), -1, FEW_SENSORS)
+        values |= {(metric.name, *place): block for place, block in zip(base_series, blocks, strict=True)}
+
+    uncertainties = []
+    for (pair, lineups), metric in product(uncertain, metrics):
+        first, other = pair.names
+        change = np.zeros(len(types.sample.quantiles))
+        scatter = np.zeros((change.size, FEW_SENSORS))
+        for (weight, _), lineup in zip(pair.parts, lineups, strict=True):
+            if weight:
+                a, b = (values[metric.name, lineup, name] for name in pair.names)
+                change += weight * (b.mean(axis=1) - a.mean(axis=1))
+                scatter += weight * (b - a)
+
+        frames = pair.delta_e if metric.is_delta_e else pair.judged[metric.name]
+        differences = frames[other] - frames[first]
         as_is = float(differences[:FEW_SENSORS].mean())
-        found.append(PairUncertainty((first, other), types, float(differences.mean()) + (np.asarray(drawn) - as_is), metric))
-    return found
+        drawn_differences = float(differences.mean()) + (change - as_is)
+        uncertainties.append(PairUncertainty((first, other), types, drawn_differences, scatter_variances(scatter), metric))
+    return uncertainties
+
+
+def scatter_variances(differences: Array) -> Array:
+    """Return the variance of the mean of each type's frames that their common noise leaves, (types,).
+
+    differences : (types, frames), in which all types have the same random numbers. What is left beside the means of types and of
+        frames is the interaction of a two-way analysis of variance.
+    """
+    types, frames = differences.shape
+    interaction = differences - differences.mean(axis=1, keepdims=True) - differences.mean(axis=0) + differences.mean()
+    freedom = (frames - 1) * (types - 1) / types
+    return np.asarray((interaction**2).sum(axis=1) / (freedom * frames))

@@ -1,4 +1,4 @@
-"""What is not known of the sensors of a comparison: how probably one of them is better, over sensor types.
+"""How probably one sensor of a comparison is better, over sensor types whose numbers are drawn from their ranges.
 
 The types of all sensors are drawn together, as those of a study (`pixsim.studies.uncertainty`). A type's difference is that of the
 sensors as they are, plus what the type changes it in its first frames, whose random numbers are the same.
@@ -6,6 +6,7 @@ sensors as they are, plus what the type changes it in its first frames, whose ra
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -21,7 +22,7 @@ from pixsim.sensor.pixel_options import NO_TECHNOLOGY, Pixel
 from pixsim.sensor.spread import Spread, sheet_uncertainty
 from pixsim.sensor.technology import load_technology
 from pixsim.studies.cases import Case
-from pixsim.studies.indices import FirstOrderIndices, first_order
+from pixsim.studies.indices import Share
 from pixsim.studies.sensor_types import Asked, sample_of
 from pixsim.studies.series import Series
 from pixsim.studies.uncertainty import (
@@ -30,6 +31,7 @@ from pixsim.studies.uncertainty import (
     Sample,
     Unknown,
     input_labels,
+    plain_shares,
     sample_types,
     unknowns_of_process,
     unknowns_of_sheet,
@@ -47,13 +49,11 @@ class Types:
     asked : as given; the sample has a power of two of them
     spreads : [pixel.uncertainty] of each sensor's file
     sample : drawn for all sensors, whose names are the technologies of its unknowns
-    seed : of the draws
     """
 
     asked: int
     spreads: tuple[Mapping[str, Spread], ...]
     sample: Sample
-    seed: int
 
     @classmethod
     def of(cls, draws: int, sensors: Sequence[Case[Run]]) -> Types:
@@ -70,8 +70,7 @@ class Types:
                 process = processes[whole_path(pixel.technology)]
                 of_process = unknowns_of_process(pixel, load_technology(pixel.technology), name)
                 unknowns += [replace(unknown, process=process) for unknown in of_process]
-        seed = sensors[0].settings.seed
-        return cls(asked, spreads, sample_types(unknowns, draws, seed), seed)
+        return cls(asked, spreads, sample_types(unknowns, draws, sensors[0].settings.seed))
 
     def imagings(self, name: str, imaging: Imaging) -> Iterator[Imaging]:
         """Yield what lies between light and score of each type of a sensor.
@@ -105,17 +104,19 @@ def series_of_types(base: Series, types: Types) -> list[Series]:
 
 @dataclass(frozen=True)
 class PairUncertainty:
-    """What is known of the difference of two sensors by a metric when their numbers are not.
+    """The difference of two sensors by a metric over sensor types.
 
     names : of the two sensors, a and b
     types : the sensor types
     differences : ΔE(b) - ΔE(a) of each, (n,), or those of another metric in its unit
+    scatter_variances : of each difference by the noise of its frames, (n,)
     metric : that judges
     """
 
     names: tuple[str, str]
     types: Types
     differences: Array = field(repr=False)
+    scatter_variances: Array = field(repr=False)
     metric: Metric = field(default=DELTA_E, repr=False)
 
     @cached_property
@@ -128,35 +129,37 @@ class PairUncertainty:
         """Share of the types with a lower mean ΔE of a, or a better value, with its 95 % interval; an equal one counts half."""
         return Probability.of((0.5 * (1.0 + np.sign(self.metric.worse_by(self.differences, 0.0)))).tolist())
 
-    @cached_property
+    @property
     def difference(self) -> ResultDistribution:
         """Distribution of the difference."""
-        return ResultDistribution.of(self.differences)
+        return ResultDistribution(self.differences)
 
     @cached_property
-    def first_order(self) -> FirstOrderIndices:
-        """Share of the variance of the difference that each unknown alone explains."""
-        return first_order(self.sample.quantiles, self.differences, self.sample.marginals, self.types.seed)
+    def shares(self) -> dict[str, dict[str, Share]]:
+        """Shares of the variance of the difference: input -> `first` -> share."""
+        return self.sample.shares(self.differences, self.scatter_variances)
 
     @property
     def matters(self) -> str:
-        """The unknown that matters most, with its share of the variance, in words; or why it is not told."""
-        if self.first_order.withheld:
-            return f"which unknown matters most is not told: {self.first_order.withheld}"
-        name, index = max(self.first_order.indices.items(), key=lambda item: item[1].share)
-        return f"{input_labels(self.sample)[name]} matters most, with {index.share:.0%} of the variance"
+        """The unknown number with the largest share of the variance, in words."""
+        shares = {label: self.shares[name]["first"] for name, label in input_labels(self.sample).items()}
+        shares = {label: share for label, share in shares.items() if not math.isnan(share.share)}
+        if not shares:
+            return "no number explains the difference, which does not vary or has too few sensor types"
+        name = max(shares, key=lambda label: shares[label].share)
+        return f"{name} matters most, with {shares[name]} of the variance"
 
     @property
     def words(self) -> str:
         """Probability, quantiles and the unknown that matters most, in words."""
         first, other = self.names
-        found, ends = self.probability_a_better, self.difference.quantiles
-        low, middle, high = (f"{ends[name]:+.2g}" for name in ("p05", "p50", "p95"))
+        better = self.probability_a_better
+        low, middle, high = (f"{value:+.2g}" for value in self.difference.quantiles.values())
         judge, unit = (
             ("", " ΔE") if self.metric.is_delta_e else (f"{self.metric.words}: ", self.metric.unit and f" {self.metric.unit}")
         )
         return (
-            f"{judge}over {found.draws} sensor types {first} is better than {other} with the probability {found}; difference "
+            f"{judge}over {better.draws} sensor types {first} is better than {other} with the probability {better}; difference "
             f"{middle}{unit} in the median, nine tenths from {low} to {high}; {self.matters}"
         )
 
@@ -166,7 +169,7 @@ class PairUncertainty:
             "draws": len(self.differences),
             "asked": self.types.asked,
             "probability_a_better": asdict(self.probability_a_better),
-            "difference": self.difference.as_dict(),
+            "difference": {"quantiles": self.difference.quantiles},
             "inputs": self.sample.stated,
-            "first_order": self.first_order.as_dict(),
+            "shares": plain_shares(self.shares),
         }

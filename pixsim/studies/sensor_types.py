@@ -8,17 +8,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
+from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
 from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
 from pixsim.base.progress import Progress
 from pixsim.sensor.spread import Uncertainty
 from pixsim.studies.cases import Case, check_number
-from pixsim.studies.claims import scaling_rows
 from pixsim.studies.cost import MOST_EVALUATIONS
 from pixsim.studies.engine import Workers
 from pixsim.studies.evaluations import Evaluations
@@ -31,14 +32,12 @@ from pixsim.studies.uncertainty import (
     FEW_SENSORS,
     LEAST_DRAWS,
     MOST_DRAWS,
-    Outcome,
     Sample,
     UncertaintyResult,
     few_pitches_um,
     sample_types,
     settings_of,
     sobol_points,
-    summarise,
     unknowns_of_study,
 )
 from pixsim.viewer.merging import merge
@@ -140,14 +139,14 @@ def draw_types(
 
     Raises PixsimError if nothing is unknown, or if a type has no pixel sizes in common with the base.
     """
-    found = []
+    results = []
     for metric in drawn_metrics(result.study):
         if all(metric.name in curve.optima for base in result.cases for curve in base.curves):
             bases = [replace(base, curves=tuple(curve.judged_by(metric.name) for curve in base.curves)) for base in result.cases]
-            found += _types_by_metric(bases, asked, folder / types_file(metric), workers, progress)
+            results += _types_by_metric(bases, asked, folder / types_file(metric), workers, progress)
         else:
             warn(f"sensor types: none are drawn for {metric.words}, which tells no best size of some of the study's own sensors")
-    return found
+    return results
 
 
 def _types_by_metric(
@@ -157,80 +156,91 @@ def _types_by_metric(
     study, metric = bases[0].study, bases[0].curves[0].metric
     sample = asked.sample(study)
     unknowns = [unknown for members in sample.inputs.values() for unknown in members]
-    series: list[Series] = []
-    members: list[range] = []  # of each type, the numbers of its series
+    series: list[Series] = []  # by case, then by type, then by technology
     samplings: list[Sizes] = []
-    studies: list[Study] = []  # of each of the series
+    studies: list[Study] = []
     for number, base in enumerate(bases):
-        own = base.study.model_dump(mode="json", exclude_unset=True, exclude={"axis", "condition", "quick", "target_ci_um"})
-        own |= {"metrics": [metric.name]}
-        of_types = base.study.model_copy(update={"metrics": (metric.name,), "repeats": FEW_SENSORS})
-        scenes = scenes_of(of_types, base.irradiance, base.camera, without=base.without)
-        table = merge(own, {"paper": False, "resolution": base.study.resolution})
-        types = [Study.model_validate(merge(table, settings_of(base.study, unknowns, draw))) for draw in sample.draws]
-        ranges = [_common_range_um(types, curve) for curve in base.curves]
-        few = {
-            curve.technology: few_pitches_um(
-                float(np.clip(curve.optimum.pitch_um, *range_um)), curve.optimum.interval_um, range_um, MOST_EVALUATIONS
-            )
-            for curve, range_um in zip(base.curves, ranges, strict=True)
-        }
-        for draw, one in enumerate(types):
-            case = Case(one, {"case": number, "draw": draw})
-            of_type = series_of(one, scenes, case.columns, case.words, stored=False)
-            members.append(range(len(series), len(series) + len(of_type)))
-            series += of_type
-            samplings += [few[each.name] for each in of_type]
-            studies += [one] * len(of_type)
+        settings = base.study.model_dump(mode="json", exclude_unset=True, exclude={"axis", "condition", "quick", "target_ci_um"})
+        settings |= {"metrics": [metric.name], "paper": False, "resolution": base.study.resolution}
+        few_frames = base.study.model_copy(update={"metrics": (metric.name,), "repeats": FEW_SENSORS})
+        scenes = scenes_of(few_frames, base.irradiance, base.camera, without=base.without)
+        types = [Study.model_validate(merge(settings, settings_of(base.study, unknowns, draw))) for draw in sample.draws]
+        few = {curve.technology: _few_pitches_um(types, curve) for curve in base.curves}
+        for draw, drawn_study in enumerate(types):
+            case = Case(drawn_study, {"case": number, "draw": draw})
+            case_series = series_of(drawn_study, scenes, case.columns, case.words, stored=False)
+            series += case_series
+            samplings += [few[technology.name] for technology in case_series]
+            studies += [drawn_study] * len(case_series)
+
     evaluations = Evaluations(series, file, workers)
-    count = len(sample.draws)
     rows = [NO_ROWS for _ in series]
     curves: dict[int, Curve] = {}
     with evaluations.resumed(samplings):
-        with closing(evaluations.rows(samplings, progress())) as found_rows:
-            for number, rows[number] in found_rows:  # the workers go on while a curve is fitted
+        with closing(evaluations.rows(samplings, progress())) as finished:
+            for number, rows[number] in finished:  # the workers go on while a curve is fitted
                 evaluations.possible(number, samplings[number])
                 curves[number] = curve_of(studies[number], series[number].name, rows[number], (metric,))
         evaluations.finish(rows)
-    found = []
-    for number, base in enumerate(bases):
+
+    results = []
+    ordered = (curves[number] for number in range(len(series)))
+    for base in bases:
+        types_curves = [tuple(islice(ordered, len(base.curves))) for _ in sample.draws]
         for place, curve in enumerate(base.curves):
-            of_base = members[number * count : (number + 1) * count]
-            outcomes = [_outcome([curves[own] for own in of_type], place, base, asked) for of_type in of_base]
+            table, holds = _results_of_types(list(zip(*types_curves, strict=True)), place, base, asked)
             inputs = sample if asked.total else sample_of(sample, curve.technology)
-            label = curve.label if sum(len(each.curves) for each in bases) > 1 else ""
-            found.append(summarise(inputs, outcomes, asked.draws, study.seed, label, asked.total, metric))
-    return found
+            label = curve.label if sum(len(other.curves) for other in bases) > 1 else ""
+            results.append(UncertaintyResult(inputs, table, holds, asked.draws, study.seed, label, asked.total, metric))
+    return results
 
 
 def sample_of(sample: Sample, *technologies: str) -> Sample:
     """Return the sensor types with the inputs of some technologies only: the others do not move their results."""
-    kept = [any(unknown.technology in ("", *technologies) for unknown in members) for members in sample.inputs.values()]
-    inputs = {name: members for (name, members), keep in zip(sample.inputs.items(), kept, strict=True) if keep}
-    return Sample(inputs, sample.quantiles[:, kept])
+    columns = [
+        column
+        for column, members in enumerate(sample.inputs.values())
+        if any(unknown.technology in ("", *technologies) for unknown in members)
+    ]
+    names = list(sample.inputs)
+    return Sample({names[column]: sample.inputs[names[column]] for column in columns}, sample.quantiles[:, columns])
 
 
-def _common_range_um(studies: Sequence[Study], curve: Curve) -> tuple[float, float]:
-    """Return the smallest and the largest pitch that every sensor type allows."""
-    ends = [study_pitches_um(study, curve.technology)[[0, -1]] for study in studies]
+def _few_pitches_um(types: Sequence[Study], curve: Curve) -> Sizes:
+    """Return the pixel sizes around the optimum of the base that every sensor type allows."""
+    ends_um = [study_pitches_um(drawn_study, curve.technology)[[0, -1]] for drawn_study in types]
     if curve.left_out:
-        ends.append(curve.pitch_um[[0, -1]])
-    return float(max(low for low, _ in ends)), float(min(high for _, high in ends))
+        ends_um.append(curve.pitch_um[[0, -1]])
+    range_um = float(max(low for low, _ in ends_um)), float(min(high for _, high in ends_um))
+    optimum_um = float(np.clip(curve.optimum.pitch_um, *range_um))
+    return few_pitches_um(optimum_um, curve.optimum.interval_um, range_um, MOST_EVALUATIONS)
 
 
-def _outcome(curves: Sequence[Curve], place: int, base: StudyResult, asked: Asked) -> Outcome:
-    """Return what is found for one sensor type and one of its technologies."""
-    curve = curves[place]
-    best = curve.optimum
-    # One at the smallest size tried is there or below; of one at the largest size nothing is known above it.
-    tried = curve.fitted_range_um
-    is_known = best.inside or best.pitch_um == tried[0]
-    verdicts = {f"the optimum is smaller than {size:g} µm": is_known and best.pitch_um < size for size in asked.smaller_than_um}
-    labels = [each.plain_label for each in base.curves]
+def _results_of_types(
+    curves: Sequence[Sequence[Curve]], place: int, base: StudyResult, asked: Asked
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Return `UncertaintyResult.table` and `holds` of one technology.
+
+    curves : of each technology, those of all types
+    place : of the technology among them
+    """
+    drawn_curves = curves[place]
+    optima = [curve.optimum for curve in drawn_curves]
+    value = base.curves[place].metric.columns[0]
+    names = ("optimum_um", "interval_low_um", "interval_high_um", value, f"{value}_low", f"{value}_high")
+    rows = [(best.pitch_um, *best.interval_um, best.value, *best.value_interval) for best in optima]
+    table = dict(zip(names, np.array(rows, float).T, strict=True))
+    table["inside"] = np.array([best.inside for best in optima])
+
+    # An optimum at the smallest size tried is there or below; of one at the largest size nothing is known above it.
+    smallest_um, largest_um = np.array([curve.fitted_range_um for curve in drawn_curves]).T
+    pitch_um = table["optimum_um"]
+    is_known = table["inside"] | (pitch_um == smallest_um)
+    holds = {f"the optimum is smaller than {size:g} µm": is_known & (pitch_um < size) for size in asked.smaller_than_um}
+    labels = [curve.plain_label for curve in base.curves]
+    delta_e = [np.array([curve.optimum.mean_delta_e for curve in drawn]) for drawn in curves]
     for other, name in enumerate(labels):
         if other != place:
-            verdicts[f"{labels[place]} is better than {name}"] = best.mean_delta_e < curves[other].optimum.mean_delta_e
-    if curve.judged_by_delta_e and (base.study.paper or (len(curves) > 1 and not any(each.data_sheet for each in curves))):
-        verdicts |= {row.statement: row.agrees for row in scaling_rows(curves)}
-    pitch_um = float(np.clip(best.pitch_um, *tried))
-    return Outcome(pitch_um, best.interval_um, best.value, best.inside, tried, verdicts)
+            holds[f"{labels[place]} is better than {name}"] = delta_e[place] < delta_e[other]
+    table["optimum_um"] = np.clip(pitch_um, smallest_um, largest_um)
+    return table, holds

@@ -121,12 +121,11 @@ def test_headlines_of_compromises_are_short() -> None:
         assert "worst regret" in str(answer)
 
 
-@pytest.mark.parametrize("quantile", [7.5, None])
-@pytest.mark.parametrize("own_sd", [0.0, 0.1])
-def test_headlines_of_sensor_types_are_short(quantile: float | None, own_sd: float) -> None:
-    optimum = SimpleNamespace(quantiles=dict.fromkeys(("p05", "p50", "p95"), quantile), own_sd=own_sd)
-    found = SimpleNamespace(label="data sheet, night", by="", outcomes=range(200), optimum=optimum, verdicts={})
-    answer, *_ = uncertainty_blocks([found])  # type: ignore[list-item]
+@pytest.mark.parametrize("share_at_ends", [0.0, 0.123])
+def test_headlines_of_sensor_types_are_short(share_at_ends: float) -> None:
+    optimum = SimpleNamespace(quantiles=dict.fromkeys(("p05", "p50", "p95"), 7.5))
+    result = SimpleNamespace(label="data sheet, night", by="", draws=200, optimum=optimum, share_at_ends=share_at_ends, verdicts={})
+    answer, *_ = uncertainty_blocks([result])  # type: ignore[list-item]
     assert isinstance(answer, Answer)
     assert len(plain_text(answer.head).split()) <= MOST_WORDS
 

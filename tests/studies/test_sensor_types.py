@@ -77,10 +77,9 @@ def test_draw_types_by_each_metric(done: tuple[Any, list[Any], Path]) -> None:
     first, second = of_information = found[2:]
     assert [each.label for each in found] == ["0.35um", "0.25um"] * 2
     assert [each.as_dict().get("metric") for each in found] == [None, None, "information", "information"]
-    assert [len(each.outcomes) for each in found] == [DRAWS] * 4
-    better = np.mean(first.values("information") > second.values("information"))
+    assert [each.draws for each in found] == [DRAWS] * 4
+    better = np.mean(first.table["information"] > second.table["information"])
     assert first.verdicts["0.35um is better than 0.25um"].probability == better
-    assert "The optimum shrinks with technology" not in first.verdicts, "the paper says it of ΔE"
     block = uncertainty_blocks(of_information)[0]
     assert isinstance(block, Answer)
     assert block.head.startswith("0.35um: optimum by information of 8 sensor types: median ")
@@ -91,9 +90,8 @@ def test_draw_types_verdicts_are_complementary(done: tuple[Any, list[Any], Path]
     better = first.verdicts["0.35um is better than 0.25um"].probability, second.verdicts["0.25um is better than 0.35um"].probability
     assert sum(better) == 1.0
     assert first.verdicts["the optimum is smaller than 1 µm"].probability == 0.0
-    known = np.mean([outcome.censored < 1 for outcome in first.outcomes])
-    assert first.verdicts["the optimum is smaller than 20 µm"].probability == known
-    assert "The optimum shrinks with technology" in first.verdicts
+    at_the_largest = ~first.table["inside"] & (first.table["optimum_um"] > 3)
+    assert first.verdicts["the optimum is smaller than 20 µm"].probability == 1 - at_the_largest.mean()
 
 
 def test_draw_types_again_computes_nothing(done: tuple[Any, list[Any], Path], evaluations: list[Any]) -> None:
@@ -181,23 +179,17 @@ def test_study_command_uncertainty_of_a_data_sheet(desk: Path, monkeypatch: pyte
 def test_sobol_in_python_has_the_indices_of_the_command(desk: Path) -> None:
     """The command takes the rows of the study in Python, and finds nothing else to evaluate in them."""
     (found,) = pixsim.study("s.toml", "out", config="sheet.toml", jobs=1, sobol=8, smaller_than_um=[6.0]).uncertainty
-    assert len(found.outcomes) == 8 * (1 + 2)
+    assert found.draws == 8 * (1 + 2)
     before = Path("out", TYPES_FILE).read_bytes()
     code, _, err = command("study s.toml --config sheet.toml --sobol 8 --smaller-than 6 --jobs 1 --out out")
     assert code == 0, err
     assert Path("out", TYPES_FILE).read_bytes() == before
     (written_one,) = json.loads(Path("out/uncertainty.json").read_text(encoding="utf-8"))["results"]
-    assert written_one["indices"] == json.loads(json.dumps(found.total_indices))
-    assert set(found.total_indices) == {"optimum_um", "mean_delta_e"}
-    assert "first_order" not in written_one
+    assert written_one == json.loads(json.dumps(found.as_dict()))
+    assert {kind for inputs in found.shares.values() for kinds in inputs.values() for kind in kinds} == {"first", "total"}
     with pytest.raises(PixsimError, match=r"uncertainty: got with sobol; allowed: one of the two"):
         pixsim.study("s.toml", "none", config="sheet.toml", sobol=8, uncertainty=8)
     assert not Path("none").exists()
-
-
-def test_drawn_types_have_no_total_indices(done: tuple[Any, list[Any], Path]) -> None:
-    with pytest.raises(PixsimError, match=r"total_indices: got sensor types that are drawn; .*sobol=N"):
-        _ = done[1][0].total_indices
 
 
 def test_settings_keep_the_uncertainty_of_sheets_that_change(tmp_path: Path) -> None:
