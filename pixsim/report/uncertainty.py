@@ -24,8 +24,8 @@ DISTRIBUTION = (
     "nine tenths. An optimum at an end of the sizes tried counts as that size."
 )
 SHARES = (
-    "Shares of the variance, each with its standard error for independent draws. Numbers whose order ties them are one input. The "
-    "share of the scatter is an upper end, by the interval of each type's own curve."
+    "Shares of the variance that inputs explain, each with its standard error. Numbers whose order ties them are one input. The "
+    "share of the scatter is an upper end: the interval of each type's optimum includes errors that all types have in common."
 )
 
 
@@ -64,7 +64,7 @@ def _blocks(result: UncertaintyResult, number: int) -> list[Block]:
     if result.verdicts:
         rows = [(name, str(probability)) for name, probability in result.verdicts.items()]
         blocks.append(Table("probabilities", ("statement", "probability that it holds (95 % interval)"), rows, words=None))
-    blocks.append(shares_table(result))
+    blocks += [SHARES, shares_table(result)]
     return [*blocks, (Link("All sensor types (CSV)", f"sensor_types_{number}.csv"),)]
 
 
@@ -78,7 +78,7 @@ def shares_table(result: UncertaintyResult) -> Table:
         (label, *(str(share) for shares in result.shares.values() for share in shares[name].values()))
         for name, label in labels.items()
     ]
-    return Table("shares of the variance", head, rows, SHARES, words=None)
+    return Table("shares of the variance", head, rows, words=None)
 
 
 @own_style()
