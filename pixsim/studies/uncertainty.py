@@ -133,8 +133,8 @@ class Unknown:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the unknown as in summary.json."""
-        stated = {"distribution": self.spread.kind, "sd": self.spread.sd, "range": self.spread.range}
-        return {"name": self.name, "value": self.value} | {key: value for key, value in stated.items() if value is not None}
+        stated = self.spread.model_dump(include={"sd", "range"}, exclude_none=True)
+        return {"name": self.name, "value": self.value, "distribution": self.spread.kind} | stated
 
 
 @checks_arguments
@@ -268,21 +268,24 @@ def settings_of(study: Study, unknowns: Sequence[Unknown], draw: Mapping[str, fl
     unknowns : of `unknowns_of_study`
     draw : `Unknown.name` -> value
     """
-    table: dict[str, Any] = {}
+    pixel: dict[str, float] = {}
+    sensors: dict[str, dict[str, float]] = {}
+    process: dict[str, dict[str, float]] = {}
+    names = {unknown.name for unknown in unknowns}
     for unknown in unknowns:
-        if not unknown.technology:  # also of the data sheets that have the number from [pixel]
-            for name, sheet in study.sensors.items():
-                apart = any((each.technology, each.quantity) == (name, unknown.quantity) for each in unknowns)
-                if getattr(sheet, unknown.quantity, None) == unknown.value and not apart:
-                    table.setdefault("sensors", {}).setdefault(name, {})[unknown.quantity] = draw[unknown.name]
-        sensor = study.sensors.get(unknown.technology)
-        own = sensor is not None and getattr(sensor, unknown.quantity, None) is not None
-        place = ("sensors" if own else "process", unknown.technology) if unknown.technology else ("pixel",)
-        node = table
-        for part in place:
-            node = node.setdefault(part, {})
-        node[unknown.quantity] = draw[unknown.name]
-    return table
+        number, value = unknown.quantity, draw[unknown.name]
+        if unknown.technology:
+            sensor = study.sensors.get(unknown.technology)
+            tables = process if sensor is None or getattr(sensor, number, None) is None else sensors
+            tables.setdefault(unknown.technology, {})[number] = value
+            continue
+
+        pixel[number] = value
+        for name, sheet in study.sensors.items():  # that have the number from [pixel]
+            if getattr(sheet, number, None) == unknown.value and f"{name} {number}" not in names:
+                sensors.setdefault(name, {})[number] = value
+    tables_by_name = {"pixel": pixel, "sensors": sensors, "process": process}
+    return {name: table for name, table in tables_by_name.items() if table}
 
 
 @dataclass(frozen=True)
