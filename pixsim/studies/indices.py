@@ -46,11 +46,15 @@ def does_vary(values: Array) -> bool:
 
 
 def ratio_of_means(parts: Array, squares: Array) -> Share:
-    """Return the mean of parts of a variance (n,) over the mean of its squared deviations (n,); its error by the delta method."""
+    """Return the ratio of two means as a share, at least 0, with its error by the delta method.
+
+    parts : (n,) whose mean is a part of the variance
+    squares : (n,) squared deviations, whose mean is the variance
+    """
     variance = squares.mean()
     share = parts.mean() / variance
     influence = (parts - share * squares) / variance
-    return Share(float(share), float(influence.std() / math.sqrt(parts.size)))
+    return Share(max(float(share), 0.0), float(influence.std() / math.sqrt(parts.size)))
 
 
 def first_order(coordinates: Array, values: Array, groups: Mapping[str, Sequence[int]]) -> dict[str, Share]:
@@ -60,7 +64,7 @@ def first_order(coordinates: Array, values: Array, groups: Mapping[str, Sequence
     values : (n,) the result
     groups : name -> columns of `coordinates`; several columns of a group have their products as terms too
 
-    Shares need more draws than terms (5 for one input), else they are NaN. An estimate may be a little below 0. An input whose
+    Shares need more draws than terms (5 for one input), else they are NaN. An estimate below 0 counts as 0. An input whose
     effect turns more than twice over its range is underestimated: of Ishigami's second input, a cubic finds 0.02 of 0.44.
 
     The standard error has two parts: that of the efficient estimator of the share (S. Da Veiga and F. Gamboa, J. Nonparametr.
@@ -83,10 +87,10 @@ def first_order(coordinates: Array, values: Array, groups: Mapping[str, Sequence
         basis, _ = np.linalg.qr(terms - terms.mean(axis=0))
         fitted = basis @ (basis.T @ deviations)
         r_squared = float(np.mean(fitted**2)) / variance
-        share = 1 - (1 - r_squared) * (count - 1) / freedom
+        share = max(1 - (1 - r_squared) * (count - 1) / freedom, 0.0)
 
         # The fit follows a part of the noise too: its variance is taken to be the share.
-        fitted *= math.sqrt(max(share, 0.0) / r_squared)
+        fitted *= math.sqrt(share / r_squared)
         influence = (2 * deviations * fitted - fitted**2 - share * deviations**2) / variance
         without_effect = 2 * terms.shape[1] / (freedom * (count + 1))
         error = math.sqrt(influence.var() / count + (1 - share) ** 2 * without_effect)

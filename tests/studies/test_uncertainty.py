@@ -308,6 +308,7 @@ def test_unknowns_of_technology_keep_their_order(swing: tuple[float, float], res
     if tied:
         swing_and_reset = [unknown.allowed for unknown in unknowns]
         assert swing_and_reset[0][1] == swing_and_reset[1][0] == (1.2 + 2.2) / 2, "the middle between both values"
+        assert len(sobol_points(unknowns, 8).quantiles) == 8 * (1 + 2), "one input"
 
 
 SHEET = {"pitch_um": 3.75, "full_well_e": 10500.0, "read_noise_e": 2.3, "dark_current_e_per_s": 3.0, "quantum_efficiency": 0.9}
