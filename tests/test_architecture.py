@@ -46,6 +46,7 @@ SETTINGS = {
     "optics.quantities", "scene.study_scene", "sensor.colour_options", "sensor.correction_options",
     "sensor.motion_options", "sensor.exposure",
     "sensor.labels", "sensor.number", "sensor.pixel_options", "sensor.quantities", "sensor.spread", "sensor.stack_options",
+    "sensor.unit_slips",
     "studies.axis", "studies.case_folders", "studies.condition", "studies.pitch_range", "studies.study_layers",
     "studies.study_settings", "studies.varied", "viewer.develop_options", "viewer.display_options", "viewer.merging",
     "viewer.metric_options", "viewer.setting", "viewer.settings_file",

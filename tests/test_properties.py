@@ -183,8 +183,6 @@ def pixels(draw: st.DrawFn) -> dict[str, Any]:
     if draw(st.booleans()):
         pixel["dark_current"] = {"e_per_s": 1.0, "at_c": 20.0} | draw(values(DarkCurrent))
     solved = draw(st.integers(0, 99)) == 66  # takes up to seconds at the extremes
-    if not solved:
-        pixel = {name: value for name, value in pixel.items() if name not in ("dynamic_range_db", "snr_max_db")}
     for word in STANDS_FOR if draw(USUALLY) else ():
         if word in pixel and (solved if word == "saturation_capacity_e" else draw(st.booleans())):
             for name in excluded_by([word]):

@@ -20,9 +20,10 @@ from pixsim.measure.estimators import Frames, PairSeries, pair, series
 from pixsim.sensor.collection import collected_fraction, even_light
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.photodiode import stored_signal_e
-from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements, warn_of_implausible_numbers
+from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import MAX_BLACK, Sensor, dark_spread_e, least_black_level_dn, read_out, sample_sensor
+from pixsim.sensor.unit_slips import warn_of_unit_slips
 
 SHAPE = 200, 200  # pixels: standard errors of 0.7 % for a variance and 0.2 % for a fitted slope
 LEAST_SIDE = 3  # pixels, whose variance divides into that of rows, of columns and of single pixels
@@ -235,8 +236,7 @@ def make_experiment(
     """
     if min(shape) < LEAST_SIDE:
         raise invalid("shape", f"{shape[0]} × {shape[1]} pixels", f"at least {LEAST_SIDE} × {LEAST_SIDE}")
-    warn_of_disagreements(pixel)
-    warn_of_implausible_numbers(pixel)
+    warn_of_unit_slips(pixel)
     exposure = exposure or Exposure()
     raw = most_frequent_channel(derive(pixel).at_gain(exposure.gain_db).as_read)
     time_s = usual_integration_s(raw, exposure)

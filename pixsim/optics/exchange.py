@@ -24,7 +24,7 @@ from pixsim.base.records import checked
 from pixsim.base.version import VERSION
 from pixsim.light import foreign
 from pixsim.light.exr import read_exr, read_header
-from pixsim.light.spectral import MAX_VALUE, OUTLIER, OUTLIERS, RINGS, SpectralImage, find_outliers, lowest_allowed, luminous_weight
+from pixsim.light.spectral import MAX_VALUE, OUTLIER, OUTLIERS, RINGS, SpectralImage, find_outliers, lowest_allowed
 from pixsim.light.tables import unit_hint
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import camera_with_lens
@@ -36,8 +36,6 @@ GIVEN = Path("the light that is given")
 PITCH_TOLERANCE = 1e-6  # an EXR attribute is a float32
 PARTS_OF_A_BAND = 10
 WIDE_BAND_NM = 40.0  # of a band; filters of a camera are about 80 nm wide
-# On the sensor: starlight through f/2 gives 1e-5 lx; sunlit snow of 3e4 cd/m² through f/1, 2e4 lx. Beyond it, by a hundred.
-USUAL_LX = (1e-7, 1e6)
 MOST_NEGATIVE = 0.01  # of the brightest band's mean: sums of fitted factors may fall a little below zero where a lamp is dark
 
 
@@ -129,7 +127,6 @@ def _from_cube(path: Path, cube: foreign.Cube, camera: Camera | None, units: str
             data[:, :, band] = file_values.astype(float) * light
         _check_band(path, data[:, :, band], file_values, centre_nm)
     _check_lit(path, data.any())
-    luminous = data @ luminous_weight(nm, width_nm)
     if outliers := find_outliers(data @ width_nm):
         header[OUTLIERS] = [list(place) for place in outliers]
         row, column = outliers[0]
@@ -139,7 +136,6 @@ def _from_cube(path: Path, cube: foreign.Cube, camera: Camera | None, units: str
             "tracer do: the automatic exposure is as if they were like their neighbours. Remove them at their source"
         )
     _note_bands(path, nm, width_nm)
-    _note_luminance(path, luminous, unit.radiance, text, cube.per_nm, width_nm)
     # The light is taken as uniform within each band.
     nodes = nm[:, None] + width_nm[:, None] * ((np.arange(PARTS_OF_A_BAND) + 0.5) / PARTS_OF_A_BAND - 0.5)
     within = nodes, np.full(nodes.shape, 1 / PARTS_OF_A_BAND)
@@ -154,22 +150,6 @@ def _note_bands(path: Path, nm: Array, width_nm: Array) -> None:
             f"'{path.name}' has {nm.size} bands of up to {width_nm.max():g} nm: they stand for {low:g}-{high:g} nm, with the light "
             f"uniform within each and none outside. Colour and quantum efficiency need bands of {WIDE_BAND_NM:g} nm or less"
         )
-
-
-def _note_luminance(path: Path, luminous: Array, is_radiance: bool, text: str, per_nm: bool, width_nm: Array) -> None:
-    """Warn of light that hardly any scene has, as that of another unit.
-
-    luminous : lx on the sensor, (H, W)
-    """
-    lit = luminous[luminous > 0]
-    usual = float(np.median(lit)) if lit.size else 0.0
-    low, high = USUAL_LX
-    if lit.size and not low <= usual <= high:
-        what = f"'{path.name}' gives {usual:.2g} lx on the sensor for the median of its samples, in {text}"
-        band = f"{width_nm.min():g}" if width_nm.min() == width_nm.max() else f"{width_nm.min():g} to {width_nm.max():g}"
-        of_band = f" Values in watts per band must be divided by its width, {band} nm" if usual > high else ""
-        layout = ", which this layout means per nm" if per_nm and is_radiance else ""
-        warn(f"{what}{layout}: that is {'more' if usual > high else 'less'} than cameras see; is the unit right?{of_band}")
 
 
 @checks_arguments

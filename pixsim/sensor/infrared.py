@@ -1,4 +1,4 @@
-"""What a user should know of the light that a pixel sees: out of focus, beyond a table, or infrared."""
+"""What a user should know of the light that a pixel sees: out of focus, beyond a table or infrared, and of its channels' scale."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from pixsim.light.curves import EfficiencyCurve
 from pixsim.light.spectral import SpectralImage, photons_per_joule
 from pixsim.optics.camera import Camera
 from pixsim.optics.lens_defocus import DEPTHS, signed_disc_um
+from pixsim.sensor.camera_data import has_common_scale
 from pixsim.sensor.collection import warn_of_stack_limits
 from pixsim.sensor.colour_options import efficiencies_of
 from pixsim.sensor.integration import electrons_per_joule
@@ -28,8 +29,14 @@ INFRARED_SHARE = 0.05  # of a channel's signal, of which a note tells
 
 
 def warn_of_light(physics: PixelPhysics, camera: Camera, irradiance: SpectralImage) -> None:
-    """Warn of a scene out of focus, of light for which a pixel's model does not hold, and of infrared light in its colours."""
+    """Warn of a scene out of focus, of light for which a pixel's model does not hold, and of what its colours do not tell."""
     warn_of_stack_limits(physics, camera, irradiance.wavelength_nm)
+    sensitivities = physics.pixel.colour.sensitivities if physics.pixel.colour else None
+    if isinstance(sensitivities, str) and not has_common_scale(sensitivities):
+        warn(
+            f"pixel.colour.sensitivities: each channel of {sensitivities} was scaled to its own peak; their ratio is unknown, and "
+            "with it the noise before white balance. Balanced colours do not depend on it"
+        )
     if note := focus_note(physics.as_read.read_pitch_um, camera, irradiance):
         warn(note)
     for name, curve in tables_of(physics).items():

@@ -40,7 +40,8 @@ from pixsim.sensor.colour import Layout
 from pixsim.sensor.crosstalk import share_with_neighbours
 from pixsim.sensor.diffusion import absorption_per_um, diffusion_mtf
 from pixsim.sensor.motion import STANDING, LightSpectrum, Moving, shifted_rows
-from pixsim.sensor.pixel import CENTRED, PixelPhysics, Registration, other_unit_of_pitch
+from pixsim.sensor.pixel import CENTRED, PixelPhysics, Registration
+from pixsim.sensor.unit_slips import slip_hint
 
 STRIP_COLUMNS = 64  # 0.5 MiB for 1024 samples, so that a strip fits into a core's level-2 cache
 EDGE_CONTRAST = 100.0  # ratio of neighbouring samples from which an edge is hard: its ring is ten times the light of its dark side
@@ -559,7 +560,7 @@ def pixels_along(length_um: float, pitch_um: float, registration: float | None =
         allowed = f"at most the die, {length_um:g} µm"
         if registration is not None:
             allowed = f"small enough for one whole pixel on a die of {length_um:g} µm at the registration {registration:g}"
-        raise invalid("pixel.pitch_um", f"{pitch_um:g}", allowed, other_unit_of_pitch(pitch_um))
+        raise invalid("pixel.pitch_um", f"{pitch_um:g}", allowed, slip_hint("pitch_um", pitch_um))
     return count
 
 

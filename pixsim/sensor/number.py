@@ -20,7 +20,7 @@ class Number(Words):
     of_technology : whether a technology may have it, where the pixel does not state it
     otherwise : value of a technology that does not state it; None: the technology's record declares it
     scales_with_area : whether a data sheet states it for its own pitch, and that of other pitches follows from their area
-    is_certain : whether it can have no [pixel.uncertainty]: the user sets it, or it is a check only
+    is_certain : whether it can have no [pixel.uncertainty], since the user sets it
     """
 
     example: Any = None

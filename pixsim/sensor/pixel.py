@@ -18,13 +18,11 @@ from numpy.typing import ArrayLike
 from pixsim.base.arguments import Count, NotNegative, Positive, Whole, check_broadcast, checks_arguments, checks_fields
 from pixsim.base.arrays import Array, PositiveArray, Positives
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.notes import warn
 from pixsim.base.records import UnitInterval, content_hash
 from pixsim.light.curves import EfficiencyCurve
 from pixsim.light.quantities import MIN_FRACTION
 from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, PLANCK_J_S
 from pixsim.optics.stack import LOWEST_LENS, Stack
-from pixsim.sensor.camera_data import has_common_scale
 from pixsim.sensor.colour import Layout, channel_efficiency
 from pixsim.sensor.colour_options import BIN, channels_of, efficiencies_of
 from pixsim.sensor.diffusion import ABSORPTION_RANGE_NM, SILICON_K, absorption_per_um
@@ -40,17 +38,16 @@ from pixsim.sensor.mismatch import (
 from pixsim.sensor.noise import constant_e, variance_e2
 from pixsim.sensor.pixel_options import ABSOLUTE_ZERO_C, BORDER_PIXELS, DATA_SHEET, NO_TECHNOLOGY, STANDS_FOR, Pixel, PixelOptions
 from pixsim.sensor.quantities import MAX_CODE_BITS, WELL_RANGE_E, AbsorbedWavelength, AbsorptionDepth, GainDb, HotMedian, HotSpread
-from pixsim.sensor.saturation import full_well_for_e, saturation_capacity_e
+from pixsim.sensor.saturation import full_well_for_e
 from pixsim.sensor.stack_options import StackOptions, stack_excluded_by
 from pixsim.sensor.stages import acting_on
 from pixsim.sensor.technology import Junction, Technology, load_technology, number_of, with_fill_factor_law
+from pixsim.sensor.unit_slips import slip_hint
 
 # The public names; everything else is internal.
 __all__ = [
     "PixelPhysics", "absorbed_efficiency", "derive", "fill_factor_law", "given_efficiency", "growth_from_data_sheet",
-    "implausible_numbers",
-    "other_unit_of_pitch", "pitch_for_fill_factor_um", "response_curve",
-    "sheet_disagreements", "silicon_curve", "smallest_pitch_um", "warn_of_disagreements", "warn_of_implausible_numbers",
+    "pitch_for_fill_factor_um", "response_curve", "silicon_curve", "smallest_pitch_um",
 ]  # fmt: skip
 
 BOLTZMANN_J_PER_K = 1.380649e-23  # SI 2019, exact
@@ -830,23 +827,6 @@ class PixelPhysics:
         return float(variance_e2(self, is_temporal=True, dark_e=dark_e)) + dark_e
 
 
-# Beyond these, a number of a data sheet is rather in another unit. The ADCs of the published sheets of the tests end at 30 % of the
-# well (the high-gain channel of one with two) to 2.3 wells; their wells have 7500 e- or more, 1 % PRNU and 11 µm at most.
-CLIPPED_WELL, SMALL_WELL_E, LARGE_PRNU, LARGE_PITCH_UM = 0.25, 100.0, 0.05, 100.0
-WELL_NAMES = "full_well_e", "saturation_capacity_e"
-
-
-@checks_arguments
-def other_unit_of_pitch(pitch_um: Positive) -> str:
-    """Return the pitch that a large one is if it was given in nm, in words; empty for a usual one."""
-    return f"{pitch_um:g} nm is {pitch_um / 1e3:g} µm." if pitch_um > LARGE_PITCH_UM else ""
-
-
-def other_unit_of_well(name: str, well_e: float) -> str:
-    """Return the full well that a small one is if it was given in ke-, in words; empty for a usual one."""
-    return f"{well_e:g} ke- is {name} = {1e3 * well_e:g}." if well_e < SMALL_WELL_E else ""
-
-
 def incomplete_sheet(pixel: Pixel, technology: Technology) -> PixsimError:
     """The error of a data sheet that lacks numbers, for a pixel that the assumed technology cannot have instead."""
     missing = pixel.assumed
@@ -883,7 +863,7 @@ def growth_from_data_sheet(pixel: Pixel, technology: Technology, area_um2: Posit
         scaled_e = growth * measured_e
         got = f"{pixel.pitch_um:g}, to which {measured_e:g} electrons at {measured_um:g} µm scale as {scaled_e:.2g}"
         name = "full_well_e" if pixel.saturation_capacity_e is None else "saturation_capacity_e"
-        hint = other_unit_of_well(name, getattr(pixel, name))
+        hint = slip_hint(name, getattr(pixel, name))
         raise invalid("pixel.pitch_um", got, f"a full well of {low_e:g} to {high_e:g} electrons", hint)
     return growth
 
@@ -1165,133 +1145,3 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
     if pixel.quantum_efficiency_nm is not None:
         physics.quantum_efficiency(pixel.quantum_efficiency_nm)  # refuses a value that the depth cannot have
     return physics
-
-
-CAPACITY_WITHIN = 0.01  # of a saturation capacity: rounding of the data sheet's other numbers
-DECIBEL_WITHIN = 0.5  # data sheets round ratios to whole decibels, and electrons to two digits (0.4 dB)
-CAUSES = (
-    "Usual causes: a well and a noise of different gain modes; a ratio to the full well in place of the saturation capacity; "
-    "an ADC that clips first."
-)
-
-
-@checks_arguments
-def sheet_disagreements(pixel: Pixel, technology: Technology | None = None) -> list[str]:
-    """Return a sentence for each number of a data sheet that its other numbers contradict by more than rounding explains.
-
-    The simulated pixel, at the data sheet's own pitch, gives μ_e.sat; SNRmax = 10 log₁₀ μ_e.sat; and the dynamic range, from
-    20 log₁₀ μ_e.sat/μ_e.min (EMVA 1288) to 20 log₁₀ of the full well over the temporal dark noise (as many data sheets).
-
-    Raises PixsimError as `derive` does.
-    """
-    if pixel.dynamic_range_db is None and pixel.snr_max_db is None and pixel.saturation_capacity_e is None:
-        return _lost_scales(pixel)
-    own = {"pitch_um": pixel.data_sheet_pitch_um or pixel.pitch_um, "data_sheet_pitch_um": None}
-    p = derive(pixel.model_copy(update=own), technology)
-    noise_e, offset_e = p.noise_floor_e, p.offset_e
-    saturation_e = saturation_capacity_e(p.full_well_e, p.adc_range_e, noise_e, p.prnu, offset_e)
-    found = []
-    asked_e = pixel.saturation_capacity_e
-    if asked_e is not None and abs(saturation_e / asked_e - 1) > CAPACITY_WITHIN:
-        why = f"the ADC ends at {p.adc_range_e:.0f}" if p.adc_range_e < p.full_well_e else f"temporal noise is {noise_e:.3g} e-"
-        found.append(f"saturation_capacity_e = {asked_e:g}, but the simulated pixel has {saturation_e:.0f}, since {why}.")
-    snr_db = 10 * math.log10(saturation_e)
-    if pixel.snr_max_db is not None and abs(pixel.snr_max_db - snr_db) > DECIBEL_WITHIN:
-        found.append(
-            f"snr_max_db = {pixel.snr_max_db:g}, but that of a saturation capacity of {saturation_e:.0f} e- is {snr_db:.1f}."
-        )
-    threshold_e = math.sqrt(noise_e**2 + 1 / (12 * p.dn_per_e**2)) + 0.5
-    ends_db = [20 * math.log10(saturation_e / threshold_e), 20 * math.log10(p.full_well_e / noise_e) if noise_e else math.inf]
-    asked_db = pixel.dynamic_range_db
-    if asked_db is not None and not min(ends_db) - DECIBEL_WITHIN <= asked_db <= max(ends_db) + DECIBEL_WITHIN:
-        found.append(
-            f"dynamic_range_db = {asked_db:g}, but the pixel has {ends_db[0]:.1f} (saturation over the sensitivity threshold, EMVA "
-            f"1288) to {ends_db[1]:.1f} (full well over temporal dark noise)."
-        )
-    return [*(f"pixel: {text} {CAUSES}" for text in found), *_lost_scales(pixel)]
-
-
-def _lost_scales(pixel: Pixel) -> list[str]:
-    """Return a sentence if the sensitivities of the pixel's channels have no common scale."""
-    camera = pixel.colour.sensitivities if pixel.colour else None
-    if not isinstance(camera, str) or has_common_scale(camera):
-        return []
-    return [
-        f"pixel.colour.sensitivities: each channel of {camera} was scaled to its own peak; their ratio is unknown, and with it the "
-        "noise before white balance. Balanced colours do not depend on it."
-    ]
-
-
-@checks_arguments
-def warn_of_disagreements(pixel: Pixel, technology: Technology | None = None) -> None:
-    """Warn of each of the `sheet_disagreements`, on behalf of the public function that calls this one.
-
-    Raises PixsimError as `derive` does.
-    """
-    for text in sheet_disagreements(pixel, technology):
-        warn(text)
-
-
-@checks_arguments
-def implausible_numbers(pixel: Pixel, technology: Technology | None = None, largest_um: float | None = None) -> list[str]:
-    """Return a sentence for each given number of a pixel that is possible, but more likely in another unit.
-
-    largest_um : the largest pitch of a study of this pixel, whose well fills most of the ADC's range; None for the pixel's own
-
-    Raises PixsimError as `derive` does.
-
-    >>> implausible_numbers(Pixel(technology="4t-bsi", pitch_um=1.4, prnu=0.2))
-    ['pixel: prnu = 0.2 is 20 %. 0.2 % is prnu = 0.002, or prnu_percent = 0.2.']
-    """
-    found = []
-    for name in ("pitch_um", "data_sheet_pitch_um"):
-        pitch_um = getattr(pixel, name)
-        if pitch_um is not None and (meant := other_unit_of_pitch(pitch_um)):
-            found.append(f"{name} = {pitch_um:g} is {pitch_um / 1e3:g} mm. {meant}")
-    for name in WELL_NAMES:
-        well_e = getattr(pixel, name)
-        if well_e is not None and (meant := other_unit_of_well(name, well_e)):
-            found.append(f"{name} = {well_e:g} is a well of {well_e:g} electrons. {meant}")
-    if pixel.prnu is not None and pixel.prnu > LARGE_PRNU:
-        per_cent = f"prnu = {pixel.prnu / 100:g}, or prnu_percent = {pixel.prnu:g}"
-        found.append(f"prnu = {pixel.prnu:g} is {100 * pixel.prnu:g} %. {pixel.prnu:g} % is {per_cent}.")
-    return [f"pixel: {text}" for text in [*found, *_other_range(pixel, technology, largest_um)]]
-
-
-def _other_range(pixel: Pixel, technology: Technology | None, largest_um: float | None) -> list[str]:
-    """Return a sentence if the ADC at 0 dB ends far below the full well, or far above it, at the data sheet's own pitch."""
-    gains = {"gain_e_per_dn": "dn_per_e", "dn_per_e": "gain_e_per_dn", "adc_full_scale_e": None}
-    name = next((name for name in gains if getattr(pixel, name) is not None), None)
-    if name is None:
-        return []
-    own = {"pitch_um": pixel.data_sheet_pitch_um or pixel.pitch_um, "data_sheet_pitch_um": None}
-    p = derive(pixel.model_copy(update=own), technology)
-    if p.adc_range_e > p.full_well_e and pixel.data_sheet_pitch_um is None and largest_um is not None:
-        p = derive(pixel.model_copy(update={"pitch_um": largest_um}), technology)
-    share = p.adc_range_e / p.full_well_e
-    if CLIPPED_WELL <= share <= 1 / CLIPPED_WELL:
-        return []
-    value, other = getattr(pixel, name), gains[name]
-    # The range that the reciprocal gain has.
-    meant_e = math.inf if other is None else pixel.codes_dn * p.dn_per_e
-    if CLIPPED_WELL <= meant_e / p.full_well_e <= 1 / CLIPPED_WELL:
-        unit = "DN per electron" if other == "dn_per_e" else "electrons per DN"
-        hint = f"If the gain was meant in {unit}, set {other} = {value:g} in its place."
-    else:
-        hint = f"Check {name}, bits and the full well."
-    found = f"the ADC clips at {p.adc_range_e:.0f} of {p.full_well_e:.0f} e-, {100 * share:.2g} % of the full well"
-    if share > 1:
-        codes = f"{p.full_well_e * p.dn_per_e:.0f} of the ADC's {pixel.codes_dn:.0f} codes above the black level"
-        steps = f"a step is {1 / p.dn_per_e:.3g} e-, and rounding adds {1 / p.dn_per_e / math.sqrt(12):.2g} e- of noise"
-        found = f"the full well of {p.full_well_e:.0f} e- fills {codes}, {100 / share:.2g} %; {steps}"
-    return [f"with {name} = {value:g}, {found}. {hint}"]
-
-
-@checks_arguments
-def warn_of_implausible_numbers(pixel: Pixel, technology: Technology | None = None, largest_um: float | None = None) -> None:
-    """Warn of each of the `implausible_numbers`, on behalf of the public function that calls this one.
-
-    Raises PixsimError as `derive` does.
-    """
-    for text in implausible_numbers(pixel, technology, largest_um):
-        warn(text)

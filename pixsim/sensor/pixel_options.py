@@ -33,6 +33,7 @@ from pixsim.sensor.quantities import (
     Well,
 )
 from pixsim.sensor.stack_options import StackOptions
+from pixsim.sensor.unit_slips import slip_hint
 
 NO_TECHNOLOGY = "none"
 # Required of a data sheet without a technology; non-uniformities and offsets that it does not give are 0.
@@ -90,13 +91,6 @@ def _hint_of_current(path: Sequence[str], value: object) -> str:
     """How to write a plain number of dark current."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     return f"Write dark_current_e_per_s = {value:g}, or dark_current = {{ e_per_s = {value:g}, at_c = 25 }}." if is_number else ""
-
-
-def _hint_of_per_cent(path: Sequence[str], value: object) -> str:
-    """How to write a PRNU that is too large for a fraction."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= 100:
-        return ""
-    return f"{value:g} % is {value / 100:g}, or prnu_percent = {value:g}."
 
 
 class PixelOptions(Record):
@@ -161,7 +155,7 @@ class PixelOptions(Record):
     colour: Annotated[
         ColourOptions | None, Number({"pattern": "rggb", "sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5})
     ] = Field(None, description="colour filters and their responses (absent: none, a monochrome sensor)")
-    fill_factor: Annotated[Fraction | None, Number(0.8)] = Field(
+    fill_factor: Annotated[Fraction | None, Number(0.8, hint=lambda path, value: slip_hint("fill_factor", value))] = Field(
         None, description="photodiode area over pixel area (absent: from fill_factor_law)"
     )
     full_well_e: Annotated[
@@ -225,8 +219,8 @@ class PixelOptions(Record):
     reset_noise_factor: Annotated[ResetFactor | None, Number(0.0, part_of=TEMPORAL, of_technology=True, otherwise=1.0)] = Field(
         None, description="n in the reset noise variance n kTC/q²: hard reset 1, soft reset 0.5, delta double sampling 2"
     )
-    prnu: Annotated[GainSpread | None, Number(0.005, of_technology=True, hint=_hint_of_per_cent)] = Field(
-        None, description="standard deviation of the gain over its mean (PRNU)"
+    prnu: Annotated[GainSpread | None, Number(0.005, of_technology=True, hint=lambda path, value: slip_hint("prnu", value))] = (
+        Field(None, description="standard deviation of the gain over its mean (PRNU)")
     )
     prnu_percent: Annotated[Annotated[float, Field(ge=0, le=30)] | None, Number(0.5, ("prnu",))] = Field(
         None, description="in place of prnu: the same in per cent"
@@ -276,12 +270,6 @@ class PixelOptions(Record):
     temperature_k: Annotated[float, Field(ge=77, le=400)] = Field(
         300.15,
         description="temperature of the sensor, which sets dark current, reset noise, and the absorption where charge diffuses",
-    )
-    dynamic_range_db: Annotated[Annotated[float, Field(ge=0, le=400)] | None, Number(71.0, is_certain=True)] = Field(
-        None, description="dynamic range of the data sheet: only a check, with a warning if the other numbers give another"
-    )
-    snr_max_db: Annotated[Annotated[float, Field(ge=0, le=200)] | None, Number(40.2, is_certain=True)] = Field(
-        None, description="largest signal-to-noise ratio of the data sheet: only a check, as dynamic_range_db"
     )
 
     @model_validator(mode="after")

@@ -30,10 +30,11 @@ from pixsim.sensor.motion import Moving, velocity_um_per_s
 from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.noise import constant_e, variance_e2
 from pixsim.sensor.photodiode import full_pixels, responds_linearly, saturation_level_e, stored_signal_e
-from pixsim.sensor.pixel import CENTRED, PixelPhysics, Registration, derive, warn_of_disagreements, warn_of_implausible_numbers
+from pixsim.sensor.pixel import CENTRED, PixelPhysics, Registration, derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.quantities import MAX_CODE_BITS, Aspect, FrameBits, GainDb, Pitch, SaturatedFraction
 from pixsim.sensor.stages import gains_of_rows, moving_in
+from pixsim.sensor.unit_slips import warn_of_unit_slips
 
 # Far above this mean the variance of NumPy's Poisson is wrong (+3.5 % at 1e15); a rounded normal lacks only the skewness
 # 1/√mean, 3e-5 and less.
@@ -161,8 +162,7 @@ def make_sensor(pixel: Pixel, camera: Camera, seed: Whole = 0, *, aspect: Aspect
     >>> make_sensor(Pixel(pitch_um=5.3), Camera(die_mm=2.7136)).shape  # the die of Chen et al. (2000)
     (512, 512)
     """
-    warn_of_disagreements(pixel)
-    warn_of_implausible_numbers(pixel)
+    warn_of_unit_slips(pixel)
     aspect = camera.die_mm / camera.height_mm if aspect is None else aspect
     physics, width_um = derive(pixel).as_read, camera.die_um[1]
     shape = pixels_on((width_um / aspect, width_um), physics.read_pitch_um, physics.registration)

@@ -24,8 +24,9 @@ from pixsim.base.notes import collected_notes, warn
 from pixsim.base.progress import Progress, Stage, no_stage
 from pixsim.scene.plan import Plan
 from pixsim.sensor.infrared import warn_of_light
-from pixsim.sensor.pixel import derive, implausible_numbers, sheet_disagreements
+from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import BORDER_PIXELS
+from pixsim.sensor.unit_slips import warn_of_unit_slips
 from pixsim.studies.averages import Averaged, Compared, Observed
 from pixsim.studies.budget import without_warnings
 from pixsim.studies.cases import Case, named
@@ -277,8 +278,7 @@ def series_of_sensor(lineup: Lineup, sensor: Case[Run], light: Light, repeats: i
         asked = lineup.settings.model_copy(update={"metrics": tuple(dict.fromkeys((DELTA_E.name, *lineup.settings.metrics)))})
         judging = judging_of(asked, repeats)
         imaging = replace(Imaging.of(sensor.settings, sensor.camera), border_um=border_um, single=True, judging=judging)
-        for text in (*sheet_disagreements(pixel), *implausible_numbers(pixel)):
-            warn(f"{sensor.name}: {text}")
+        warn_of_unit_slips(pixel, f"{sensor.name}: ")
         first, *others = lineup.displays.values()
         scenes = SceneCache(
             light.image,

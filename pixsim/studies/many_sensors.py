@@ -19,8 +19,8 @@ from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.infrared import warn_of_light
 from pixsim.sensor.integration import array_size_um
 from pixsim.sensor.motion_options import STILL, Motion
-from pixsim.sensor.pixel import implausible_numbers, sheet_disagreements
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.unit_slips import warn_of_unit_slips
 from pixsim.show.document import Document, Table
 from pixsim.show.pages import dataframe_of, rows_csv
 from pixsim.show.render import notebook
@@ -170,8 +170,7 @@ def sweep(
                 of_light = picture_size_um(light), read.read_pitch_um, display, own_um, array_size_um(light, camera)
                 dot_edges_um(*of_light, read.registration)
             each[name] = imaging
-            for text in (*sheet_disagreements(pixel), *implausible_numbers(pixel)):
-                warn(f"pixel {name}: {text}")
+            warn_of_unit_slips(pixel, f"pixel {name}: ")
             warn_of_light(imaging.physics, camera, light)
         own = exposure, correction, develop, display, camera, camera.lens_options
         names = tuple(one.name for one in judging.metrics)

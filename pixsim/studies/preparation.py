@@ -31,10 +31,11 @@ from pixsim.scene.study_scene import StudyScene
 from pixsim.sensor.collection import check_efficiency
 from pixsim.sensor.integration import MAX_PIXELS, pixels_along, pixels_on
 from pixsim.sensor.labels import label_of, labels_of
-from pixsim.sensor.pixel import PixelPhysics, warn_of_disagreements, warn_of_implausible_numbers
+from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.pixel_options import PixelOptions
 from pixsim.sensor.spread import Uncertainty
 from pixsim.sensor.technology import check_name
+from pixsim.sensor.unit_slips import warn_of_unit_slips
 from pixsim.studies.cases import BASE, Case, Job, cases_of, named, with_range_ends
 from pixsim.studies.pitch_range import PitchRange
 from pixsim.studies.pixels import physics_of, pixel_of, technology_of
@@ -275,15 +276,12 @@ def check_pitches(study: Study) -> None:
     for technology in study.technologies:
         pitches_um, process = study_pitches_um(study, technology).tolist(), technology_of(study, technology)
         try:  # what a pixel is derived from grows or falls with its pitch: sizes between two possible ones are possible
-            smallest, largest = (physics_of(study, technology, pitches_um[end], process).pixel for end in (0, -1))
+            smallest, _ = (physics_of(study, technology, pitches_um[end], process).pixel for end in (0, -1))
         except PixsimError:
             for pitch_um in pitches_um:  # the message is that of the first impossible one
                 physics_of(study, technology, pitch_um, process)
             raise
-        warn_of_disagreements(largest, process)
-        # A study tries unusual sizes, whose wells outgrow a given gain or do not fill its range: only the smallest and the largest
-        # tell of a unit.
-        warn_of_implausible_numbers(smallest, process, pitches_um[-1])
+        warn_of_unit_slips(smallest)
     first = sum(sum(sensors.values()) for sensors in first_sampling(study).values())
     if study.max_evaluations is not None and study.max_evaluations < first:
         expected = f"at least {first}, with which the study starts"

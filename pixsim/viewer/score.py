@@ -40,7 +40,7 @@ from pixsim.sensor.integration import (
 from pixsim.sensor.motion import STANDING, Moving, border_with_room_um, velocity_um_per_s
 from pixsim.sensor.motion_options import STILL, VELOCITIES, Motion
 from pixsim.sensor.noise import variance_e2
-from pixsim.sensor.pixel import PixelPhysics, derive, warn_of_disagreements, warn_of_implausible_numbers
+from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import (
     MAX_BLACK,
@@ -55,6 +55,7 @@ from pixsim.sensor.readout import (
     metered_motion,
     sample_sensor,
 )
+from pixsim.sensor.unit_slips import warn_of_unit_slips
 from pixsim.show.document import pairs
 from pixsim.show.figures import new_figure, own_style
 from pixsim.show.pages import rows_csv
@@ -1199,14 +1200,13 @@ def make_imaging_chain(
     judging, without : as of `prepare_scene`
     prepare : knows what `prepare_scene` did (`KeptScenes`); None means that itself
 
-    Warns if the render used another camera, the scene's white is estimated (`white_header`), the display clips the scene, numbers
-    of a data sheet contradict one another, or the model of the pixel's stack is doubtful.
+    Warns if the render used another camera, the scene's white is estimated (`white_header`), the display clips the scene, a number
+    of the pixel is rather in another unit, or the model of the pixel's stack is doubtful.
     """
     warn_of_other_camera(irradiance, camera)
     check_develop(develop, pixel)
+    warn_of_unit_slips(pixel)
     physics = derive(pixel)
-    warn_of_disagreements(pixel)
-    warn_of_implausible_numbers(pixel)
     warn_of_light(physics, camera, irradiance)
     border_um = scored_border_um(physics, motion, exposure, camera)
     display = with_white(display, white_header([SeenPicture(irradiance, camera, physics, border_um)], display))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 import zipfile
 from pathlib import Path
 
@@ -411,16 +410,6 @@ def test_star_and_highlight_are_no_outliers():
     assert find_outliers(picture) == []  # a highlight of several samples
     picture[3, 5] = 1e-6
     assert find_outliers(picture) == [(3, 4)]
-
-
-def test_light_of_another_unit_is_noted(tmp_path):
-    """Watts per band of a radiance that this layout means per nm; a usual picture has no note."""
-    bright = exr(tmp_path / "a.exr", stokes(1e6 * light()), emissiveUnits="W.m^-2.sr^-1")
-    with pytest.warns(UserWarning, match=r"lx on the sensor.*means per nm: that is more than cameras see.*its width, 10 nm"):
-        pixsim.read_irradiance(bright, CAMERA)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        pixsim.read_irradiance(exr(tmp_path / "b.exr", stokes(0.1 * light()), emissiveUnits="W.m^-2.sr^-1"), CAMERA)
 
 
 def test_factors_whose_sum_is_negative_are_refused(tmp_path):

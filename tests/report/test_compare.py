@@ -64,13 +64,13 @@ def test_compare_says_each_note_once(tmp_path: Path) -> None:
     A note on the numbers of one sheet names its sensor too.
     """
     files = two_sheets(tmp_path)
-    files[0].write_text(files[0].read_text(encoding="utf-8") + "snr_max_db = 30\n", encoding="utf-8")  # the well gives 40 dB
+    files[0].write_text(files[0].read_text(encoding="utf-8").replace("prnu = 0.0", "prnu = 0.06"), encoding="utf-8")
     code, out, err = command(f"compare {SMALL} --pixel.black-level-dn 0 --out {tmp_path / 'out'}", *files)
     assert code == 0
     notes = [line.removeprefix("note: ") for line in out.splitlines() if line.startswith("note: ")]
     assert [note.split()[0] for note in notes] == ["quiet:", "noisy_one:", "quiet"]
     assert all("clips dark noise" in note for note in notes[:2])
-    (warned,) = re.findall(r"^warning: (quiet: pixel: snr_max_db = 30, .*)\.$", err, re.MULTILINE)
+    (warned,) = re.findall(r"^warning: (quiet: pixel: prnu = 0.06 is unusual.*)\.$", err, re.MULTILINE)
     assert err.count("warning: ") == 1
     assert json.loads((tmp_path / "out/compare.json").read_text(encoding="utf-8"))["notes"] == [warned, *notes]
     page = html.unescape(text_of(tmp_path / "out"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,9 @@ from pixsim.sensor.colour_options import PATTERNS, channels_of
 from pixsim.sensor.correction import correct
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.infrared import warn_of_light
 from pixsim.sensor.integration import lights_of, mean_signal_rate
-from pixsim.sensor.pixel import PixelPhysics, derive, sheet_disagreements
+from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.raw import RawFrame, read_frame, write_frame
 from pixsim.sensor.readout import capture_from_rates, frame_mean_dn, frame_variance_dn2, make_sensor, sample_sensor
@@ -383,5 +385,7 @@ def test_diffusion_and_lights_follow_the_channels() -> None:
 
 def test_cameras_whose_channels_lost_their_ratio_are_named() -> None:
     for camera, warned in (("Nikon_D5100", True), ("ARRI_D21", True), ("Nikon_D810", False)):
-        given = pixel({"sensitivities": camera, "peak_quantum_efficiency": 0.5})
-        assert any(f"each channel of {camera} was scaled to its own peak" in text for text in sheet_disagreements(given)) is warned
+        physics = derive(pixel({"sensitivities": camera, "peak_quantum_efficiency": 0.5}))
+        with warnings.catch_warnings(record=True, action="always") as caught:
+            warn_of_light(physics, CAMERA, light())
+        assert any(f"each channel of {camera} was scaled to its own peak" in str(note.message) for note in caught) is warned

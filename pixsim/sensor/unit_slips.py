@@ -1,0 +1,116 @@
+"""Numbers of data sheets that are often given in another unit than that of their field."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
+
+from pixsim.base.notes import warn
+
+if TYPE_CHECKING:
+    from pixsim.sensor.pixel_options import PixelOptions
+
+# The public names; everything else is internal.
+__all__ = ["SLIPS", "slip_hint", "unit_slips", "warn_of_unit_slips"]
+
+
+class UnitSlip(NamedTuple):
+    """A field of a data sheet, and the other unit in which its number is often given.
+
+    usual : smallest and largest usual value, in the field's unit
+    unit : the other unit, in words
+    factor : what converts a number from the other unit
+    meant : field that states the converted number; empty for the same field
+    value : what has to be usual of a pixel, where it is not the number itself; None: it is the number
+    """
+
+    usual: tuple[float, float]
+    unit: str
+    factor: float
+    meant: str = ""
+    value: Callable[[PixelOptions], float | None] | None = None
+
+
+def adc_range_per_well(pixel: PixelOptions) -> float | None:
+    """Return the range of the ADC over the full well of a data sheet; None if it does not state both."""
+    full_well_e = pixel.saturation_capacity_e if pixel.full_well_e is None else pixel.full_well_e
+    gain_e_per_dn = pixel.gain_e_per_dn if pixel.dn_per_e is None else 1 / pixel.dn_per_e
+    if full_well_e is None or gain_e_per_dn is None:
+        return None
+    return pixel.codes_dn * gain_e_per_dn / full_well_e
+
+
+# The published sheets of the tests have pitches of 11 µm at most, wells of 7500 to 91 000 e-, 1 % PRNU at most, and ADCs that end
+# at 30 % of the well (the high-gain channel of one with two) to 2.3 wells.
+PITCH_UM = (0.0, 100.0)
+WELL_E = (200.0, 1e7)
+ADC_RANGE_PER_WELL = (0.25, 4.0)
+SLIPS = {
+    "pitch_um": UnitSlip(PITCH_UM, "nm", 1e-3),
+    "data_sheet_pitch_um": UnitSlip(PITCH_UM, "nm", 1e-3),
+    "full_well_e": UnitSlip(WELL_E, "thousands of electrons", 1e3),
+    "saturation_capacity_e": UnitSlip(WELL_E, "thousands of electrons", 1e3),
+    "adc_full_scale_e": UnitSlip(WELL_E, "thousands of electrons", 1e3),
+    "prnu": UnitSlip((0.0, 0.05), "per cent", 0.01),
+    "fill_factor": UnitSlip((0.0, 1.0), "per cent", 0.01),
+    "gain_e_per_dn": UnitSlip(ADC_RANGE_PER_WELL, "DN per electron", 1.0, "dn_per_e", adc_range_per_well),
+    "dn_per_e": UnitSlip(ADC_RANGE_PER_WELL, "electrons per DN", 1.0, "gain_e_per_dn", adc_range_per_well),
+}
+
+
+def slip_hint(name: str, value: object) -> str:
+    """Return how to write a number that is unusual in its field's unit and usual in the other one; empty for others.
+
+    name : of a field of `SLIPS` whose own number has to be usual
+    """
+    slip = SLIPS[name]
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return ""
+    converted = value * slip.factor
+    return _hint(name, value) if _is_slip(slip, value, converted) else ""
+
+
+def unit_slips(pixel: PixelOptions) -> list[str]:
+    """Return a sentence for each number of a pixel that is unusual in its field's unit, and usual in the other one of `SLIPS`.
+
+    A gain is judged by the range of the ADC over the full well, where both are stated.
+
+    >>> from pixsim.sensor.pixel_options import Pixel
+    >>> unit_slips(Pixel(technology="4t-bsi", pitch_um=1.4, prnu=0.2))
+    ['pixel: prnu = 0.2 is unusual. In per cent? Write prnu = 0.002.']
+    """
+    texts = []
+    for name, slip in SLIPS.items():
+        number = getattr(pixel, name, None)
+        if number is None:
+            continue
+
+        if slip.value is None:
+            value, converted = number, number * slip.factor
+        else:
+            value = slip.value(pixel)
+            converted = slip.value(pixel.model_copy(update={name: None, slip.meant: number * slip.factor}))
+        if value is not None and converted is not None and _is_slip(slip, value, converted):
+            texts.append(f"pixel: {name} = {number:g} is unusual. {_hint(name, number)}")
+    return texts
+
+
+def warn_of_unit_slips(pixel: PixelOptions, label: str = "") -> None:
+    """Warn of each of the `unit_slips` of a pixel, on behalf of the public function that calls this one.
+
+    label : what stands before each warning, as the name of the sensor
+    """
+    for text in unit_slips(pixel):
+        warn(f"{label}{text}")
+
+
+def _is_slip(slip: UnitSlip, value: float, converted: float) -> bool:
+    """Return whether a value is unusual, and the converted one usual."""
+    low, high = slip.usual
+    return not low <= value <= high and low <= converted <= high
+
+
+def _hint(name: str, number: float) -> str:
+    """Return how to write a number that is in the other unit."""
+    slip = SLIPS[name]
+    return f"In {slip.unit}? Write {slip.meant or name} = {number * slip.factor:g}."
