@@ -11,17 +11,7 @@ from typing import Any
 from pixsim.base.toml import SETTINGS_FILE
 from pixsim.report.maps import alone_groups, alone_plate, axis_plates, case_columns, optimum_columns, plate_names
 from pixsim.report.noise_budget import NAME, budgets_section
-from pixsim.report.study import (
-    PARTS_FILE,
-    agrees,
-    document_of,
-    parts_files,
-    parts_section,
-    plot_of,
-    report_files,
-    study_page,
-    with_files_of_study,
-)
+from pixsim.report.study import agrees, document_of, plot_of, report_files, study_page, with_files_of_study
 from pixsim.report.wording import DELTA_E, compromise_answer, rendered_words, weighted_words
 from pixsim.show.document import Block, Document, Fact, Link, Listed, Plot, Section, Table, joined, made_with, pairs, plain_text
 from pixsim.show.figures import LOOKS, literal, new_figure, own_style
@@ -31,9 +21,9 @@ from pixsim.studies.cases import Case, cases_of
 from pixsim.studies.claims import verdicts
 from pixsim.studies.conditions import Compromise, Regret
 from pixsim.studies.engine import Workers
+from pixsim.studies.noise_budgets import noise_budgets
 from pixsim.studies.optimum import Optimum
 from pixsim.studies.oversampling import FilmError
-from pixsim.studies.parts import noise_budgets, parts_table
 from pixsim.studies.result import CasesResult, StudyResult, shown_mean_and_ci95
 from pixsim.studies.sentences import film_words, optima_table, optimum_line
 from pixsim.studies.study_settings import Study
@@ -175,7 +165,7 @@ def axes_files(study: Study) -> set[str]:
     plates = [*plate_names(study), *(f"conditions_{number + 1}" for number in range(SHOWN_COMPROMISES))]
     own = {f"{case.folder}/{name}" for case in shown_cases(cases) for name in report_files(case.settings)}
     plates += [NAME] * study.noise_budget
-    return {"report.html", "summary.json", SETTINGS_FILE, "optima.csv", "conditions.csv", PARTS_FILE, *figure_files(plates), *own}
+    return {"report.html", "summary.json", SETTINGS_FILE, "optima.csv", "conditions.csv", *figure_files(plates), *own}
 
 
 def study_report(
@@ -196,12 +186,12 @@ def study_report(
     """
     draw = partial(study_page, seconds=seconds, workers=workers or Workers(), figures=figures)
     if not isinstance(result, CasesResult):
-        return with_files_of_study(draw(result, parts=parts_table(result), budgets=noise_budgets(result)), result)
+        return with_files_of_study(draw(result, budgets=noise_budgets(result)), result)
     cases = shown_cases(
         [Case(part.study, curve.at, curve.condition, curve.alone) for part in result.parts for curve in part.curves[:1]]
     )
     parts = list(zip(cases, result.parts[: len(cases)], strict=True))
-    pages = {case.folder: draw(part, parts={}) for case, part in parts}
+    pages = {case.folder: draw(part) for case, part in parts}
     return with_files_of_study(replace(axes_page(result, compromises, seconds, parts), parts=pages), result)
 
 
@@ -217,7 +207,7 @@ def axes_page(
     """
     figures = [Plot(partial(conditions_plate, found, number)) for number, found in enumerate(compromises[:SHOWN_COMPROMISES], 1)]
     others = [compromise_of_others(found) for found in compromises if found.others]
-    table, budgets, header = parts_table(result), noise_budgets(result), result.irradiance.header
+    budgets, header = noise_budgets(result), result.irradiance.header
     best = (Link("The same with all digits (CSV)", "optima.csv"),)
     made = f"{result.counts}. Study seed {result.study.seed}; first render: {rendered_words(header)}."
     listed = [
@@ -235,7 +225,6 @@ def axes_page(
             Section("alone", "One at a time", [plot_of(plate) for plate in [alone_plate(result)] if plate]),
             Section("claims", "The paper's statements", _claims(result)),
             Section("optima", "Optima", [optima_table(result.curves), best]),
-            parts_section(table),
             budgets_section(budgets),
             Section("cases", "Cases with pictures", [Listed(listed)]),
             Section("made", "Reproducibility", [made, made_with(pairs("seconds", seconds, ".2f"))]),
@@ -243,7 +232,6 @@ def axes_page(
         files={
             "optima.csv": table_csv(optima_columns(result)),
             **({"conditions.csv": table_csv(conditions_table(compromises))} if compromises else {}),
-            **parts_files(table),
         },
     )
 

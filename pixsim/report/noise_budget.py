@@ -28,16 +28,28 @@ BAR_IN, MARGIN_IN = 0.28, 1.1
 
 def budget_columns(budgets: Mapping[str, NoiseBudget]) -> dict[str, Column]:
     """Return budgets by the words of their pixels as columns, a row for each cause of each pixel, and for its sums."""
-    rows: list[tuple[str, str, float, float]] = []
+    rows: list[tuple[str, str, str, float, float]] = []
     nothing = float("nan")
     for label, budget in budgets.items():
-        rows += [(label, cause, nothing if noise_e is None else noise_e, delta_e) for cause, noise_e, delta_e in budget.rows()]
-        rows.append((label, "render", budget.render_e, nothing))
-        rows.append((label, "remainder", nothing, budget.remainder_delta_e))
-        rows.append((label, "all causes", budget.total_e, budget.mean_delta_e))
-        rows.append((label, "measured", budget.measured_e, budget.mean_delta_e))
-    names = "pixel", "cause", "noise_e", "delta_e"
+        for cause, noise_e, delta_e in budget.rows():
+            rows.append((label, cause, budget.part_of(cause), nothing if noise_e is None else noise_e, delta_e))
+        rows.append((label, "render", "", budget.render_e, nothing))
+        rows.append((label, "remainder", budget.part_of("remainder"), nothing, budget.remainder_delta_e))
+        rows.append((label, "all causes", "", budget.total_e, budget.mean_delta_e))
+        rows.append((label, "measured", "", budget.measured_e, budget.mean_delta_e))
+    names = "pixel", "cause", "part", "noise_e", "delta_e"
     return {name: [row[at] for row in rows] for at, name in enumerate(names)}
+
+
+def parts_table(budgets: Mapping[str, NoiseBudget]) -> Table:
+    """Return the table of the mean ΔE by kinds of causes, a row for each pixel, without kinds that are 0 for all of them."""
+    parts = {label: budget.parts for label, budget in budgets.items()}
+    kinds = [kind for kind in next(iter(parts.values())) if any(delta_e[kind] for delta_e in parts.values())]
+    rows = []
+    for label, delta_e in parts.items():
+        values = [budgets[label].mean_delta_e, *(delta_e[kind] for kind in kinds)]
+        rows.append((label, *(f"{value:.3f}" for value in values)))
+    return Table("parts of the mean ΔE", ("pixel", "mean ΔE", *kinds), tuple(rows))
 
 
 def budget_table(budgets: Mapping[str, NoiseBudget]) -> Table:
@@ -96,5 +108,5 @@ def largest_words(budget: NoiseBudget) -> str:
 
 def budgets_section(budgets: Mapping[str, NoiseBudget]) -> Section:
     """Return the section of a page on noise budgets; empty without them."""
-    blocks = (budget_table(budgets), Plot(lambda: budget_plate(budgets)), ORDER) if budgets else ()
+    blocks = (parts_table(budgets), budget_table(budgets), Plot(lambda: budget_plate(budgets)), ORDER) if budgets else ()
     return Section("causes", "Noise budget", blocks, brief=True)

@@ -25,7 +25,6 @@ from pixsim.show.document import (
     DeltaEScale,
     Document,
     Fact,
-    Link,
     Note,
     Pictures,
     Plot,
@@ -39,7 +38,7 @@ from pixsim.show.document import (
     pairs,
 )
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_figure, own_style
-from pixsim.show.pages import Column, Drawn, Figures, Plate, figure_files, table_csv
+from pixsim.show.pages import Column, Drawn, Figures, Plate, figure_files
 from pixsim.show.pictures import scale
 from pixsim.show.render import lines
 from pixsim.show.sentences import capital
@@ -75,7 +74,6 @@ if TYPE_CHECKING:
 
 NO_BUDGETS: Mapping[str, NoiseBudget] = MappingProxyType({})
 ANSWERS_SHOWN = 12  # optima at the top
-PARTS_FILE = "parts.csv"
 LEGEND_HEADROOM = 1.35  # over the highest point, for a legend of three lines
 
 
@@ -278,7 +276,7 @@ def report_files(study: Study) -> set[str]:
     plates |= set(PAPER_PLATES) if study.paper else set()
     plates |= {NAME} if study.noise_budget else set()
     sheets = (f"figures/contact_sheet_{label}.png" for label in labels)
-    return {"report.html", "summary.json", SETTINGS_FILE, PARTS_FILE, *figure_files(plates), *sheets}
+    return {"report.html", "summary.json", SETTINGS_FILE, *figure_files(plates), *sheets}
 
 
 def study_document(result: StudyResult, warned: Collection[str] = ()) -> Document:
@@ -328,13 +326,6 @@ NO_COUNTERPART = (
     "Figure 1 of the paper, a pixel's circuit and layout, has no counterpart here. Those of Figures 7 to 9 that this study has are "
     'above, under "Curves".'
 )
-PARTS = (
-    "At the size of the least error tried, for the first sensor and its first frame. Each part is what leaving it out takes "
-    "off, in this order: noise; the mosaic, when every pixel knows all channels; crosstalk, when no light reaches neighbours "
-    "through other filters; colour error, when the channels are those of the observer; the rest is blur. The noise of the "
-    "matrix that takes crosstalk apart is in noise. A part may be below 0 where one fault hides another. Dots that are larger"
-    " than pixels average their noise."
-)
 PAPER = (
     'Chen, Catrysse, El Gamal and Wandell, "How small should pixel size be?", Proc. SPIE 3965 (2000). Its parameter table, lens, '
     "response curve, fixed pattern, ADC, display and the values in its Figures 5 to 9 are not available: they are assumed here."
@@ -345,13 +336,11 @@ def study_page(
     result: StudyResult,
     seconds: dict[str, float],
     workers: Workers,
-    parts: dict[str, Column],
     figures: Figures = "svg",
     budgets: Mapping[str, NoiseBudget] = NO_BUDGETS,
 ) -> Document:
     """Return the document of a study without axes, or of one of the cases of another, with its page.
 
-    parts : of `parts_table`
     figures : "pdf" draws a PDF beside each SVG
     budgets : of `noise_budgets`
     """
@@ -378,7 +367,6 @@ def study_page(
         sections=(
             Section("see", "Pictures", _pictures(result, views)),
             Section("curves", "Curves", plots["curves"]),
-            parts_section(parts),
             budgets_section(budgets),
             Section("limits", "What limits these pixels", _limits(result)),
             Section("maps", "Whole pictures and maps", _maps(result, plots["maps"])),
@@ -390,7 +378,7 @@ def study_page(
             Section("assumed", "Assumptions", _assumptions(result)),
             Section("made", "Reproducibility", [_rendered(result), made_with(pairs("seconds", seconds, ".2f"))]),
         ),
-        files={**{f"figures/contact_sheet_{view.file_label}.png": view.sheet for view in views}, **parts_files(parts)},
+        files={f"figures/contact_sheet_{view.file_label}.png": view.sheet for view in views},
     )
 
 
@@ -430,23 +418,6 @@ def _pictures(result: StudyResult, views: Sequence[Views]) -> Iterator[Block]:
         slider = Slider(f"slider-{number}", heading, view.ideal, view.outputs)
         smaller = size_words(view.factor, study.display.samples_per_deg) if view.factor > 1 else ""
         yield Section("", f"{label}: whole pictures and the ideal image", [smaller, slider], together=True)
-
-
-def parts_section(parts: dict[str, Column]) -> Section:
-    """Return the section on what the errors of colour sensors are made of; empty for others.
-
-    parts : of `parts_table`, a row for each pixel
-    """
-    head = ["pixel", "size (µm)", "mean ΔE", "noise", "mosaic", "crosstalk", "colour error", "blur", "dots per pixel"]
-    rows = [(str(name), *(f"{value:.3f}" for value in values)) for name, *values in zip(*parts.values(), strict=True)]
-    same = (Link("The same with all digits (CSV)", PARTS_FILE),)
-    blocks = PARTS, Table("parts of the errors", head, rows), same
-    return Section("parts", "What the errors are made of", blocks if parts else ())
-
-
-def parts_files(parts: dict[str, Column]) -> dict[str, str]:
-    """Return the file of the parts of the errors, if there are any."""
-    return {PARTS_FILE: table_csv(parts)} if parts else {}
 
 
 def _limits(result: StudyResult) -> Iterator[Block]:

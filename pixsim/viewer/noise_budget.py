@@ -2,9 +2,15 @@
 
 Light that flickers first, which is steady for all else. Then noise, from the codes back to the light: rounding by the ADC, each
 source of `pixsim.sensor.noise` from the last to the first, shot noise of dark charge, and that of light; then noise reduction, for
-what it blurs. Then what `delta_e_parts` tells of colours: mosaic, crosstalk and shading, colour error. Then motion, and the blur
-in the order of the light: veiling glare, lens, light and charge of neighbours, sampling and the display's interpolation, and the
-pixel's aperture. What is left is the remainder.
+what it blurs.
+
+Then colour. Without the mosaic, every pixel knows each channel as that channel's pixels would record it there. Without crosstalk
+and shading, no light of neighbours has passed other filters. Without colour error, the channels are those of the observer. The
+matrix takes crosstalk of colours apart. That amplifies noise, which belongs to noise, and it sharpens, so that the part of
+crosstalk is small and may be below 0.
+
+Then motion, and the blur in the order of the light: veiling glare, lens, light and charge of neighbours, sampling and the display's
+interpolation, and the pixel's aperture. What is left is the remainder.
 
 Variances add: those of all causes together are that of the frame. Contributions to ΔE do not: where several faults hide one
 another, a cause takes off more the later it is switched off, and one that is nearly nothing may take off a little less than 0, by
@@ -14,7 +20,7 @@ the random numbers of another draw.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -25,7 +31,7 @@ from pixsim.base.arrays import Array, mixed
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import LENS_HEADER, ideal_light, without_lens
-from pixsim.sensor.collection import collection_of
+from pixsim.sensor.collection import ColourCollection, collection_of
 from pixsim.sensor.integration import (
     M2_PER_UM2,
     centred_pixels,
@@ -39,18 +45,21 @@ from pixsim.sensor.motion import STANDING, Moving
 from pixsim.sensor.noise import variances_e2, without_source
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.quantities import MAX_CODE_BITS
-from pixsim.sensor.readout import Frame, lasting
+from pixsim.sensor.readout import Frame, lasting, make_frame
 from pixsim.viewer.develop import white_y, xyz_weights
 from pixsim.viewer.develop_steps import developed
 from pixsim.viewer.display import means_on_dots, white_rate
-from pixsim.viewer.parts import Parts, at_every_pixel, delta_e_parts, noiseless_frame
+from pixsim.viewer.every_pixel import at_every_pixel, mixed_at_every_pixel
 from pixsim.viewer.score import ImagingChain, PreparedScene, shown
 
-REDUCTION = "noise reduction"
+FLICKER, REDUCTION = "flicker of the light", "noise reduction"
 SHOT, DARK, ROUNDING = "shot noise of light", "shot noise of dark charge", "rounding by the ADC"
+MOSAIC, CROSSTALK, COLOUR_ERROR = "mosaic", "crosstalk and shading", "colour error"
+SHADING, MOTION, VEIL, LENS, NEIGHBOURS = "shading", "motion", "veiling glare", "lens", "neighbours"
 SAMPLING, APERTURE = "sampling and interpolation", "pixel aperture"
-FLICKER, MOTION, VEIL, LENS, NEIGHBOURS = "flicker of the light", "motion", "veiling glare", "lens", "neighbours"
+NOISE, BLUR = "noise", "blur"
 MORE_BITS = 8  # of an ADC that rounds 256 times finer
+Steps = Iterator[tuple[str, float]]  # each cause with the mean ΔE that is left without it and those before it
 
 
 @dataclass(frozen=True)
@@ -78,6 +87,21 @@ class NoiseBudget:
         """Return the budget as in score.json."""
         return asdict(self)
 
+    @property
+    def parts(self) -> dict[str, float]:
+        """The mean ΔE by kinds of causes, which add up to it: noise, what colours cost, and blur with the remainder."""
+        sums = dict.fromkeys((NOISE, MOSAIC, CROSSTALK, COLOUR_ERROR, BLUR), 0.0)
+        for cause, delta_e in self.delta_e.items():
+            sums[self.part_of(cause)] += delta_e
+        sums[BLUR] += self.remainder_delta_e
+        return sums
+
+    def part_of(self, cause: str) -> str:
+        """Return the kind of a cause, a name of `parts`."""
+        if cause in (MOSAIC, CROSSTALK, COLOUR_ERROR):
+            return cause
+        return NOISE if cause in self.electrons_e or cause in (FLICKER, REDUCTION) else BLUR
+
     def rows(self) -> Iterator[tuple[str, float | None, float]]:
         """Yield each cause with its electrons, None for those of blur and colour, and its ΔE."""
         for cause, delta_e in self.delta_e.items():
@@ -101,22 +125,37 @@ def noise_budget(
     time_s = frame.integration_s
     variances = variances_of(chain, time_s)
     measured = (frame.dn - frame.black_level_dn) / frame.dn_per_e - frame.mean_dark_e - frame.mean_e
-    still = noiseless_frame(chain, time_s)
-    parts = delta_e_parts(irradiance, camera, physics, light, chain, *key)
-    reduced = chain.score_frame(still).mean_delta_e - parts.mean_delta_e + parts.noise if chain.develop.denoises else 0.0
-    noise = delta_e_of_noise(chain, frame, parts, variances, reduced, key)
-    others = {"mosaic": parts.mosaic, "crosstalk and shading": parts.crosstalk, "colour error": parts.colour_error}
-    blur, remainder = delta_e_of_blur(irradiance, camera, physics, light, chain, still, parts.blur)
-    coloured = others if light.rendition is not None else {}
+    noiseless = noiseless_frame(chain, time_s)
+
+    mean_delta_e = chain.score_frame(frame).mean_delta_e
+    steps = [
+        *noise_steps(chain, noiseless, variances, key),
+        *colour_steps(irradiance, camera, physics, light, chain, noiseless),
+        *blur_steps(irradiance, camera, physics, light, chain, noiseless),
+    ]
+    left = [mean_delta_e, *(delta_e for _, delta_e in steps)]
     return NoiseBudget(
         electrons_e={name: math.sqrt(value) for name, value in variances.items()},
         total_e=math.sqrt(sum(variances.values())),
         measured_e=float(np.sqrt(np.mean(np.square(measured)))),
         render_e=render_noise_of(irradiance) * float(np.sqrt(np.mean(np.square(frame.mean_e)))),
-        mean_delta_e=parts.mean_delta_e,
-        delta_e=noise | ({REDUCTION: reduced} if chain.develop.denoises else {}) | coloured | blur,
-        remainder_delta_e=remainder,
+        mean_delta_e=mean_delta_e,
+        delta_e={cause: before - after for (cause, _), (before, after) in zip(steps, pairwise(left), strict=True)},
+        remainder_delta_e=left[-1],
     )
+
+
+def noiseless_frame(chain: ImagingChain, integration_s: float) -> Frame:
+    """Return the frame of the mean electrons, without noise, fixed pattern and rounding; as of a well without end."""
+    exposure = lasting(chain.exposure, integration_s)
+    empty = np.zeros(chain.signal_e_per_s.shape, np.int32)
+    frame = make_frame(empty, 0.0, chain.signal_e_per_s, chain.physics, exposure)
+    return replace(frame, corrected_e=(chain.signal_e_per_s * integration_s).astype(np.float32))
+
+
+def undenoised(chain: ImagingChain) -> ImagingChain:
+    """Return a chain whose development takes no noise away."""
+    return replace(chain, develop=chain.develop.model_copy(update={"denoise": "none"})) if chain.develop.denoises else chain
 
 
 def render_noise_of(irradiance: SpectralImage) -> float:
@@ -147,18 +186,13 @@ def finer_adc(physics: PixelPhysics) -> PixelPhysics:
     return replace(physics, pixel=physics.pixel.model_copy(update=finer), gain_e_per_dn=gain_e_per_dn)
 
 
-def delta_e_of_noise(
-    chain: ImagingChain, frame: Frame, parts: Parts, variances: dict[str, float], reduced: float, key: tuple[object, ...]
-) -> dict[str, float]:
-    """Return what each cause of noise takes off the mean ΔE, in the order of `variances`; with `reduced` it is `Parts.noise`.
-
-    reduced : what leaving out noise reduction takes off then
-    """
-    exposure = lasting(chain.exposure, frame.integration_s)
-    physics, steps = chain.physics, [parts.mean_delta_e]
+def noise_steps(chain: ImagingChain, noiseless: Frame, variances: Iterable[str], key: tuple[object, ...]) -> Steps:
+    """Yield each cause of noise, in the order of `variances`, and noise reduction, with the mean ΔE that is left."""
+    exposure = lasting(chain.exposure, noiseless.integration_s)
+    physics = chain.physics
     for name in variances:
         if name == SHOT:
-            steps.append(parts.mean_delta_e - parts.noise + reduced)
+            yield name, chain.score_frame(noiseless).mean_delta_e
             continue
         if name == ROUNDING:
             physics = finer_adc(physics)
@@ -166,71 +200,107 @@ def delta_e_of_noise(
             physics = replace(physics, dark_current_e_per_s=0.0)
         else:
             physics = without_source(physics, name)
-        steps.append(replace(chain, physics=physics, exposure=exposure).simulate(*key).mean_delta_e)
-    return {name: before - after for name, (before, after) in zip(variances, pairwise(steps), strict=True)}
+        yield name, replace(chain, physics=physics, exposure=exposure).simulate(*key).mean_delta_e
+    if chain.develop.denoises:
+        yield REDUCTION, undenoised(chain).score_frame(noiseless).mean_delta_e
 
 
-def delta_e_of_blur(
-    irradiance: SpectralImage,
-    camera: Camera,
-    physics: PixelPhysics,
-    light: PreparedScene,
-    chain: ImagingChain,
-    still: Frame,
-    whole: float,
-) -> tuple[dict[str, float], float]:
-    """Return what each cause of blur takes off the mean ΔE of a picture without noise and colour error, and what is left.
+def delta_e_of_planes(planes: Sequence[Array], matrix: Array | None, chain: ImagingChain, noiseless: Frame) -> float:
+    """Return the mean ΔE of channels that every pixel knows, each (rows, columns) and 1 for white."""
+    developing = chain.developing(noiseless, matrix)
+    return delta_e_of_dots(chain.mixed_on_dots(developed(list(planes), developing), developing), chain)
 
-    whole : that mean ΔE
-    """
-    screen, rendition = chain.screen, light.rendition
-    if rendition is None:
-        weights = [electrons_per_joule(physics, irradiance)]
-        white = white_rate(irradiance, camera, physics, screen.display)
+
+def delta_e_of_dots(dots: Array, chain: ImagingChain) -> float:
+    """Return the mean ΔE of the light of the display's dots, (H, W) or (3, H, W), 1 for white."""
+    return float(chain.screen.delta_e_of(shown(chain.toned(dots), chain.screen.display)).mean())
+
+
+def colour_steps(
+    irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, light: PreparedScene, chain: ImagingChain, noiseless: Frame
+) -> Steps:
+    """Yield mosaic, crosstalk with shading, and colour error, with the mean ΔE that is left; nothing for grey sensors."""
+    if light.rendition is None:
+        return
+    unmixed = replace(chain, collection=None, rendition=light.rendition, whites_e_per_s=light.whites_e_per_s(physics))
+    pixels = centred_pixels(light.array_um, physics)
+    channels = [
+        at_every_pixel(
+            channel_light.rate_e_per_s_um2, light, physics, collection_of(channel, channel_light.illumination, pixels), chain.moving
+        )
+        / white
+        for channel_light, channel, white in zip(light.lights, physics.channels, light.whites_e_per_s_um2, strict=True)
+    ]
+
+    # Without a stack, channels record their own light only.
+    if chain.collection is None:
+        recorded, matrix = channels, unmixed.matrix
     else:
-        weights, white = list(xyz_weights(irradiance)), white_y(irradiance, camera, screen.display) * M2_PER_UM2
+        assert isinstance(chain.collection, ColourCollection)
+        is_shaded = chain.shading is not None
+        recorded = mixed_at_every_pixel(light, physics, chain.collection, chain.moving, is_shaded=is_shaded)
+        matrix = chain.matrix
+    yield MOSAIC, delta_e_of_planes(recorded, matrix, unmixed, noiseless)
+    yield CROSSTALK, delta_e_of_planes(channels, unmixed.matrix, unmixed, noiseless)
+
+    weights, white = observer(irradiance, camera, physics, light, chain)
+    collection = collection_of(physics, illumination_of(irradiance, camera, physics), pixels)
+    rates = diffracted(irradiance, camera, weights, diffusion_of(physics))
+    observed = [at_every_pixel(rate, light, physics, collection, chain.moving) / white for rate in rates]
+    yield COLOUR_ERROR, delta_e_of_planes(observed, light.rendition.to_display, unmixed, noiseless)
+
+
+def observer(
+    irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, light: PreparedScene, chain: ImagingChain
+) -> tuple[list[Array], float]:
+    """Return what weighs the light's bands, X, Y and Z or a grey sensor's electrons, and the rate of display white per µm²."""
+    display = chain.screen.display
+    if light.rendition is None:
+        return [electrons_per_joule(physics, irradiance)], white_rate(irradiance, camera, physics, display)
+    return list(xyz_weights(irradiance)), white_y(irradiance, camera, display) * M2_PER_UM2
+
+
+def blur_steps(
+    irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, light: PreparedScene, chain: ImagingChain, noiseless: Frame
+) -> Steps:
+    """Yield each cause of blur with the mean ΔE that is left, of a picture without noise and colour error."""
+    weights, white = observer(irradiance, camera, physics, light, chain)
+    matrix = None if light.rendition is None else light.rendition.to_display
     blur, pixels = diffusion_of(physics), centred_pixels(light.array_um, physics)
     collection = collection_of(physics, illumination_of(irradiance, camera, physics), pixels)
-    matrix = np.ones((1, 1)) if rendition is None else rendition.to_display
 
-    def delta_e_on(light: Array) -> float:
-        return float(screen.delta_e_of(shown(chain.toned(light), screen.display)).mean())
-
-    def of_pixels(rates: list[Array], shares: bool, moving: Moving = STANDING) -> float:
+    def delta_e_of_pixels(rates: list[Array], *, shares: bool = True, moving: Moving = STANDING) -> float:
         planes = [at_every_pixel(rate, light, physics, collection, moving, shares=shares) / white for rate in rates]
-        c = chain.developing(still, None if rendition is None else matrix)
-        return delta_e_on(chain.mixed_on_dots(developed(planes, c), c))
+        return delta_e_of_planes(planes, matrix, chain, noiseless)
 
-    names: list[str] = []
-    steps = [whole]
-
-    def step(name: str, left: float) -> None:
-        names.append(name)
-        steps.append(left)
-
-    if rendition is None and collection is not None:
-        step("shading", of_pixels(diffracted(irradiance, camera, weights, blur), True, chain.moving))
+    if light.rendition is None and collection is not None:
+        yield SHADING, delta_e_of_pixels(diffracted(irradiance, camera, weights, blur), moving=chain.moving)
     if chain.moving.is_on:
-        step(MOTION, of_pixels(diffracted(irradiance, camera, weights, blur), True))
+        yield MOTION, delta_e_of_pixels(diffracted(irradiance, camera, weights, blur))
     if camera.veiling_glare:
-        step(VEIL, of_pixels(diffracted(irradiance, camera.without_veil, weights, blur), True))
+        yield VEIL, delta_e_of_pixels(diffracted(irradiance, camera.without_veil, weights, blur))
+
     sharp = ideal_light(irradiance, camera)
     header = {name: value for name, value in sharp.header.items() if name != LENS_HEADER} | {"diffraction": False}
     sharp = sharp.with_planes(sharp.whole.planes, header=header, margin=sharp.margin)
-    rates = diffracted(sharp, without_lens(camera).without_veil, weights, blur)
-    step(LENS, of_pixels(rates, True))
+    sharp_camera = without_lens(camera).without_veil
+    rates = diffracted(sharp, sharp_camera, weights, blur)
+    yield LENS, delta_e_of_pixels(rates)
     if collection is not None or blur is not None:
-        rates = diffracted(sharp, without_lens(camera).without_veil, weights, None)
-        step(NEIGHBOURS, of_pixels(rates, False))
+        rates = diffracted(sharp, sharp_camera, weights, None)
+        yield NEIGHBOURS, delta_e_of_pixels(rates, shares=False)
+
     side_um = physics.photodiode_side_um if collection is None else collection.aperture_side_um
-    if screen.display.raster == "fixed_size":
+    if chain.screen.display.raster == "fixed_size":
         averaged = [integrate_pixels(rate, light.sample_pitch_um, light.sample_pitch_um, side_um) / side_um**2 for rate in rates]
-        step(SAMPLING, delta_e_on(on_dots(averaged, light, chain, matrix, white)))
-    step(APERTURE, delta_e_on(on_dots(rates, light, chain, matrix, white)))
-    return {name: before - after for name, (before, after) in zip(names, pairwise(steps), strict=True)}, steps[-1]
+        yield SAMPLING, delta_e_of_dots(on_dots(averaged, light, chain, matrix, white), chain)
+    yield APERTURE, delta_e_of_dots(on_dots(rates, light, chain, matrix, white), chain)
 
 
-def on_dots(rates: list[Array], light: PreparedScene, chain: ImagingChain, matrix: Array, white: float) -> Array:
-    """Return the light of the display's dots, (H, W) or (3, H, W), of rates (H, W) that no pixel samples, 1 for white."""
+def on_dots(rates: list[Array], light: PreparedScene, chain: ImagingChain, matrix: Array | None, white: float) -> Array:
+    """Return the light of the display's dots, (H, W) or (3, H, W), of rates (H, W) that no pixel samples, 1 for white.
+
+    matrix : from X, Y and Z to the display's primaries; None for a grey sensor
+    """
     means = [means_on_dots(rate, light.sample_pitch_um, chain.screen.dot_edges_um) / white for rate in rates]
-    return means[0] if chain.rendition is None else mixed(matrix, means)
+    return means[0] if matrix is None else mixed(matrix, means)

@@ -17,7 +17,7 @@ from pixsim.optics.camera_light import camera_factor
 from pixsim.scene import charts
 from pixsim.scene.colour_chart import MEAN, PRIMARIES, PROJECTOR_M, modulation, primaries, primaries_xyz, slide, write_colour_chart
 from pixsim.viewer.develop import xyz_weights
-from pixsim.viewer.parts import noiseless_frame
+from pixsim.viewer.noise_budget import noiseless_frame
 from pixsim.viewer.scielab import OPPONENT_FROM_XYZ, XYZ_FROM_OPPONENT
 from pixsim.viewer.score import make_imaging_chain
 

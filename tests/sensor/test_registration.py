@@ -26,7 +26,7 @@ from pixsim.sensor.pixel_options import Pixel
 from pixsim.viewer.display import on_dots
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.parts import noiseless_frame
+from pixsim.viewer.noise_budget import noiseless_frame
 from pixsim.viewer.score import PreparedScene, chain_at_pitch, evaluate, prepare_scene
 
 CAMERA, DISPLAY = Camera(die_mm=2.7136), Display(white_cd_per_m2=1000.0)

@@ -22,7 +22,7 @@ from pixsim.base.toml import packaged
 from pixsim.report.maps import Grid, Scale, axis_plates
 from pixsim.scene.colour_chart import modulation, write_colour_chart
 from pixsim.studies.cases import cases_of
-from pixsim.studies.parts import parts_table
+from pixsim.studies.noise_budgets import noise_budgets
 from pixsim.studies.pixels import physics_of
 from pixsim.studies.result import CasesResult
 from pixsim.studies.study_file import load_study
@@ -61,18 +61,15 @@ def rows_of(folder: Path, filters: str | None = None) -> list[dict[str, str]]:
 
 @pytest.mark.filterwarnings("ignore:.*black level")
 def test_study_of_filters(tmp_path: Path) -> None:
-    assert not parts_table(pixsim.study(small(), out=tmp_path / "plain", jobs=1)), "a monochrome study has none"
-    result = pixsim.study(small(axis=[FILTERS]), out=tmp_path / "filters", jobs=1)
+    pixsim.study(small(), out=tmp_path / "plain", jobs=1)
+    result = pixsim.study(small(axis=[FILTERS], noise_budget=True), out=tmp_path / "filters", jobs=1)
     assert rows_of(tmp_path / "filters", "none") == rows_of(tmp_path / "plain")
     assert len(rows_of(tmp_path / "filters", "RGGB")) == len(rows_of(tmp_path / "plain"))
-    table = parts_table(result)
-    parts = [dict(zip(table, values, strict=True)) for values in zip(*table.values(), strict=True)]
-    assert [row["pixel"].split(", ")[1] for row in parts] == ["none", "RGGB", "quad"]
-    for row in parts:
-        total = sum(float(row[name]) for name in ("noise", "mosaic", "crosstalk", "colour_error", "blur"))
-        assert total == pytest.approx(float(row["mean_delta_e"]), abs=1e-9)
-    dots = [float(row["dots_per_pixel"]) * 200 / 24 / float(row["pitch_um"]) for row in parts]
-    assert dots == pytest.approx([1, 1, 2])  # two photodiodes side by side are read as one
+    budgets = noise_budgets(result)
+    assert [label.split(", ")[1] for label in budgets] == ["none", "RGGB", "quad"]
+    for budget in budgets.values():
+        assert sum(budget.parts.values()) == pytest.approx(budget.mean_delta_e, abs=1e-9)
+    assert ["mosaic" in budget.delta_e for budget in budgets.values()] == [False, True, True]
     score = result.case(filters="RGGB").scores("4t-bsi", 2.5, 1)[0]
     assert score.image.shape == (*score.delta_e.shape, 3)
     assert np.ptp(score.ideal, axis=2).max() < 0.02  # a grey chart is grey in colour: to a code of the display
@@ -101,15 +98,13 @@ def test_sizes_whose_colours_mix_are_left_out(tmp_path: Path) -> None:
     assert [curve.pitch_um.tolist() for curve in result.curves] == [kept, kept]
 
 
-def test_study_without_axes_has_parts_of_its_error(tmp_path: Path) -> None:
-    """One row for its one curve."""
+def test_budget_of_a_colour_study_is_that_of_its_first_frame(tmp_path: Path) -> None:
+    """One for its one curve, of the frame in results.csv."""
     pixel = {"black_level_dn": 64, "bits": 12, "colour": CAMERA}
-    table = parts_table(pixsim.study(small(pixel=pixel), out=tmp_path, jobs=1))
-    assert len(table) == 9
-    (total,), (pitch_um,) = table["mean_delta_e"], table["pitch_um"]
-    first = next(row for row in rows_of(tmp_path) if (row["pitch_um"], row["repeat"]) == (str(pitch_um), "0"))
-    assert total == pytest.approx(float(first["mean_delta_e"]), abs=1e-9)
-    assert table["crosstalk"] == [0.0]
+    ((label, budget),) = noise_budgets(pixsim.study(small(pixel=pixel, noise_budget=True), out=tmp_path, jobs=1)).items()
+    rows = {f"{float(row['pitch_um']):.3g} µm": row for row in rows_of(tmp_path) if row["repeat"] == "0"}
+    assert budget.mean_delta_e == pytest.approx(float(rows[label.split(", ")[-1]]["mean_delta_e"]), abs=1e-9)
+    assert budget.parts["crosstalk and shading"] == 0.0
 
 
 STACKED: dict[str, Any] = {"colour": CAMERA, "stack": {"enabled": True}}

@@ -12,6 +12,7 @@ import pytest
 import pixsim
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
+from pixsim.report.noise_budget import budget_columns, parts_table
 from pixsim.report.run import run_document, run_page
 from pixsim.sensor import noise
 from pixsim.sensor.exposure import Exposure
@@ -21,7 +22,7 @@ from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import frame_variance_dn2, sample_sensor
 from pixsim.show.render import text
-from pixsim.studies.parts import noise_budgets
+from pixsim.studies.noise_budgets import noise_budgets
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
@@ -38,8 +39,9 @@ from pixsim.viewer.noise_budget import (
     NoiseBudget,
     finer_adc,
     noise_budget,
+    noiseless_frame,
+    undenoised,
 )
-from pixsim.viewer.parts import noiseless_frame, undenoised
 
 SIDE, SAMPLE_UM = 256, 2.0
 NM = [450.0, 550.0, 620.0]
@@ -210,3 +212,9 @@ def test_study_tells_the_budget_of_each_best_size(tmp_path: Path) -> None:
     assert label == f"0.35um, {curve.pitch_um[best]:.3g} µm"
     (score,) = result.scores("0.35um", float(curve.pitch_um[best]), 1)
     assert found.mean_delta_e == pytest.approx(score.mean_delta_e, rel=1e-5)  # studies are in single precision
+    columns = budget_columns({label: found})
+    for part, delta_e in found.parts.items():
+        of_causes = [value for value, name in zip(columns["delta_e"], columns["part"], strict=True) if name == part]
+        assert sum(of_causes) == pytest.approx(delta_e, abs=1e-12)
+    (row,) = parts_table({label: found}).rows
+    assert row == (label, *(f"{value:.3f}" for value in (found.mean_delta_e, found.parts["noise"], found.parts["blur"])))

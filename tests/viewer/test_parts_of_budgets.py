@@ -1,4 +1,4 @@
-"""What a mean ΔE is made of: each part vanishes where its cause does."""
+"""The mean ΔE by kinds of causes: each part vanishes where its causes do."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.parts import Parts, delta_e_parts, neighbours
+from pixsim.viewer.every_pixel import neighbours
+from pixsim.viewer.noise_budget import BLUR, COLOUR_ERROR, CROSSTALK, MOSAIC, NOISE, noise_budget
 from pixsim.viewer.score import chain_at_pitch, prepare_scene
 
 NM = np.arange(402.5, 700.0, 5.0)
@@ -40,7 +41,7 @@ def observer() -> dict[str, Any]:
     return {letter: list(zip(nm.tolist(), (0.6 * seen[:, k] / seen.max()).tolist(), strict=True)) for k, letter in enumerate("RGB")}
 
 
-def parts(colour: dict[str, Any] | None, **fields: Any) -> Parts:
+def parts(colour: dict[str, Any] | None, **fields: Any) -> dict[str, float]:
     white = d65(NM) * 1e3 * float(irradiance_factor(4.0, 0.0, CAMERA.magnification))
     white = white / (luminous_weight(NM, np.full(NM.size, 5.0)) * d65(NM)).sum()
     y, x = np.mgrid[:64, :64]
@@ -54,40 +55,37 @@ def parts(colour: dict[str, Any] | None, **fields: Any) -> Parts:
     physics = derive(Pixel(**bare | fields))
     light = prepare_scene(image, CAMERA, physics, DISPLAY)
     chain = chain_at_pitch(light, physics, Exposure(), develop=Develop(matrix="least_squares"))
-    found = delta_e_parts(image, CAMERA, physics, light, chain, "parts", 1)
-    assert found.noise + found.mosaic + found.crosstalk + found.colour_error + found.blur == pytest.approx(
-        found.mean_delta_e, abs=1e-12
-    )
-    assert found.dots_per_pixel == pytest.approx(2.0 / 2.5)
-    return found
+    budget = noise_budget(image, CAMERA, physics, light, chain, "parts", 1)
+    assert sum(budget.parts.values()) == pytest.approx(budget.mean_delta_e, abs=1e-12)
+    return budget.parts
 
 
 def test_each_part_has_its_cause() -> None:
     noisy = {"read_noise_e": 100.0}
     whole = parts({"quantum_efficiencies": FILTERS}, **noisy)
-    assert min(whole.noise, whole.mosaic, whole.colour_error, whole.blur) > 0.02
-    assert whole.crosstalk == 0.0
+    assert min(whole[part] for part in (NOISE, MOSAIC, COLOUR_ERROR, BLUR)) > 0.02
+    assert whole[CROSSTALK] == 0.0
     # The observer's own channels have no colour error, and the same blur; pixels that know all channels no mosaic.
     exact = parts({"quantum_efficiencies": observer()}, **noisy)
-    assert abs(exact.colour_error) < 2e-3
-    assert exact.blur == pytest.approx(whole.blur, rel=1e-12)
+    assert abs(exact[COLOUR_ERROR]) < 2e-3
+    assert exact[BLUR] == pytest.approx(whole[BLUR], rel=1e-12)
     layers = parts({"pattern": "stacked", "quantum_efficiencies": FILTERS}, **noisy)
-    assert abs(layers.mosaic) < 1e-6
-    assert layers.colour_error == pytest.approx(whole.colour_error, rel=1e-9)
+    assert abs(layers[MOSAIC]) < 1e-6
+    assert layers[COLOUR_ERROR] == pytest.approx(whole[COLOUR_ERROR], rel=1e-9)
     grey = parts(None, quantum_efficiency=0.5, **noisy)
-    assert (grey.mosaic, grey.crosstalk, grey.colour_error) == (0.0, 0.0, 0.0)
-    assert grey.noise > 0.02
+    assert (grey[MOSAIC], grey[CROSSTALK], grey[COLOUR_ERROR]) == (0.0, 0.0, 0.0)
+    assert grey[NOISE] > 0.02
 
 
 def test_crosstalk_between_colours_is_no_colour_error() -> None:
     """The matrix takes it apart, which sharpens: without it, neighbours of the same light blur more. Its noise is not in it."""
     stack = {"height_um": 4.0, "index": 1.5, "microlens": "none"}
     alone, mixed = (parts({"quantum_efficiencies": FILTERS}, stack=stack | {"crosstalk": c}, **QUIET) for c in (0.0, 0.1))
-    assert mixed.colour_error == pytest.approx(alone.colour_error, rel=0.05)
-    assert mixed.mosaic == pytest.approx(alone.mosaic, rel=0.1)  # of the same interpolation
-    assert abs(alone.crosstalk) < 0.5 * abs(mixed.crosstalk)  # the stack alone lets little light stray
-    assert 0.01 < -mixed.crosstalk < 0.1
-    assert mixed.blur > alone.blur + 0.01
+    assert mixed[COLOUR_ERROR] == pytest.approx(alone[COLOUR_ERROR], rel=0.05)
+    assert mixed[MOSAIC] == pytest.approx(alone[MOSAIC], rel=0.1)  # of the same interpolation
+    assert abs(alone[CROSSTALK]) < 0.5 * abs(mixed[CROSSTALK])  # the stack alone lets little light stray
+    assert 0.01 < -mixed[CROSSTALK] < 0.1
+    assert mixed[BLUR] > alone[BLUR] + 0.01
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,30 @@
+"""The noise budgets of a study at its best sizes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pixsim.studies.result import StudyResult
+from pixsim.viewer.noise_budget import NoiseBudget, noise_budget
+
+
+def noise_budgets(result: StudyResult) -> dict[str, NoiseBudget]:
+    """Return the noise budget of each curve of each case by its words, at the best of the sizes tried; empty where nobody asks.
+
+    It is that of the first sensor and its first frame, which are the same for all cases.
+    """
+    if not result.study.noise_budget:
+        return {}
+    budgets = {}
+    for case in result.cases:
+        for curve in case.curves:
+            pitch_um = float(curve.pitch_um[int(np.nanargmin(curve.mean()))])
+            series = case.series[curve.technology]
+            imaging = series.imaging.at(pitch_um)
+            physics = imaging.registered(0)
+            light = imaging.prepared(series.light(), physics)
+            key = *series.stream_at(pitch_um), 0
+            budget = noise_budget(case.irradiance, case.camera, physics, light, imaging.chain(light, physics), *key)
+            budgets[f"{curve.label}, {pitch_um:.3g} µm"] = budget
+        case.scenes.clear()
+    return budgets
