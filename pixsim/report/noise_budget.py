@@ -48,7 +48,7 @@ def parts_table(budgets: Mapping[str, NoiseBudget]) -> Table:
     rows = []
     for label, delta_e in parts.items():
         values = [budgets[label].mean_delta_e, *(delta_e[kind] for kind in kinds)]
-        rows.append((label, *(f"{value:.3f}" for value in values)))
+        rows.append((label, *(f"{value:z.3f}" for value in values)))
     return Table("parts of the mean ΔE", ("pixel", "mean ΔE", *kinds), tuple(rows))
 
 

@@ -217,4 +217,4 @@ def test_study_tells_the_budget_of_each_best_size(tmp_path: Path) -> None:
         of_causes = [value for value, name in zip(columns["delta_e"], columns["part"], strict=True) if name == part]
         assert sum(of_causes) == pytest.approx(delta_e, abs=1e-12)
     (row,) = parts_table({label: found}).rows
-    assert row == (label, *(f"{value:.3f}" for value in (found.mean_delta_e, found.parts["noise"], found.parts["blur"])))
+    assert row == (label, *(f"{value:z.3f}" for value in (found.mean_delta_e, found.parts["noise"], found.parts["blur"])))
