@@ -41,8 +41,8 @@ def adc_range_per_well(pixel: PixelOptions) -> float | None:
 
 
 # The published sheets of the tests have pitches of 11 µm at most, wells of 7500 to 91 000 e-, 1 % PRNU at most, and ADCs that end
-# at 30 % of the well (the high-gain channel of one with two) to 2.3 wells.
-PITCH_UM = (0.0, 100.0)
+# at 30 % of the well (the high-gain channel of one with two) to 2.3 wells. Pitches below 0.3 µm are finer than a wavelength.
+PITCH_UM = (0.3, 300.0)
 WELL_E = (200.0, 1e7)
 ADC_RANGE_PER_WELL = (0.25, 4.0)
 SLIPS = {

@@ -31,8 +31,8 @@ def sheet(**fields: Any) -> Pixel:
 @pytest.mark.parametrize(
     ("slip", "usual", "mended"),
     [
-        ({"pitch_um": 3450.0}, {"pitch_um": 100.0}, "In nm? Write pitch_um = 3.45."),
-        ({"data_sheet_pitch_um": 1120.0}, {"data_sheet_pitch_um": 99.0}, "In nm? Write data_sheet_pitch_um = 1.12."),
+        ({"pitch_um": 3450.0}, {"pitch_um": 300.0}, "In nm? Write pitch_um = 3.45."),
+        ({"data_sheet_pitch_um": 301.0}, {"data_sheet_pitch_um": 300.0}, "In nm? Write data_sheet_pitch_um = 0.301."),
         ({"full_well_e": 199.0}, {"full_well_e": 200.0}, "In thousands of electrons? Write full_well_e = 199000."),
         ({"full_well_e": 10.5}, {"full_well_e": 10_500.0}, "In thousands of electrons? Write full_well_e = 10500."),
         ({"saturation_capacity_e": 91.0}, {"saturation_capacity_e": 200.0}, "Write saturation_capacity_e = 91000."),
@@ -59,7 +59,7 @@ def test_number_in_another_unit_is_named(slip: dict[str, float], usual: dict[str
     [
         {"gain_e_per_dn": 0.01},  # 0.4 % of the well, and with the reciprocal gain 41 wells
         {"gain_e_per_dn": 20.0},  # 8 wells, and 2 % of one
-        {"pitch_um": 2e5},  # 200 µm in nm
+        {"pitch_um": 4e5},  # 400 µm in nm
         {"technology": "4t-bsi", "full_well_e": None, "gain_e_per_dn": 40.0},  # no sheet states the well
     ],
 )
