@@ -66,8 +66,7 @@ def photon_transfer_plate(sheet: DataSheet) -> Plate:
               label="saturation")  # fmt: skip
     finish(axes, "mean gray value minus dark, μ_y − μ_y.dark (DN)", "temporal variance, σ²_y − σ²_y.dark (DN²)")
     caption = (
-        f"The system gain is K = {k.value:.4g} ± {k.error:.1g} DN/e⁻. Photon transfer: the slope between 0 and 70 % of saturation "
-        "is the system gain K. Saturation is the peak of the variance, "
+        "Photon transfer: the slope between 0 and 70 % of saturation is the system gain K. Saturation is the peak of the variance, "
         "beyond which the pixels reach full well, those of higher gain first."
     )
     table = {"photons_p": light.at, "signal_dn": signal, "variance_dn2": variance, "expected_signal_dn": expected,
@@ -88,9 +87,7 @@ def responsivity_plate(sheet: DataSheet) -> Plate:
     axes.axvline(t.saturation_p.value, color="0.5", lw=1, ls=":", label="saturation")
     axes.set_ylim(top=1.15 * signal.max())
     finish(axes, photon_axis(sheet), "mean gray value minus dark (DN)")
-    caption = (
-        f"The quantum efficiency of the whole pixel is η = R/K = {100 * t.efficiency.value:.3g} %. The slope is the responsivity R."
-    )
+    caption = "Mean signal against photons. The slope is the responsivity R; the quantum efficiency of the whole pixel is η = R/K."
     return plate("responsivity", caption, figure, {"photons_p": light.at, "signal_dn": signal})
 
 
@@ -113,11 +110,7 @@ def snr_plate(sheet: DataSheet) -> Plate:
     axes.axvline(t.saturation_p.value, color="0.5", lw=1, ls="-.", label="μ_p.sat")
     axes.set_ylim(bottom=0.1)
     finish(axes, photon_axis(sheet), "SNR (mean / standard deviation)", "lower right")
-    range_db = 20 * math.log10(t.saturation_p.value / t.threshold_p.value)
-    caption = (
-        f"The dynamic range is {range_db:.1f} dB, from {t.threshold_p.value:.3g} to {t.saturation_p.value:.3g} photons. It "
-        "lies between the two vertical lines. PRNU limits the total SNR."
-    )
+    caption = "SNR against photons. The dynamic range lies between the two vertical lines. PRNU limits the total SNR."
     table = {"photons_p": photons, "snr_temporal": snr_temporal, "snr_total": snr_total, "snr_model": model}
     return plate("snr", caption, figure, table)
 
@@ -140,8 +133,7 @@ def linearity_plate(sheet: DataSheet) -> Plate:
     widest = 1.3 * float((np.abs(percent) + error)[inside].max())
     axes.set_ylim(-widest, widest)
     finish(axes, photon_axis(sheet), "deviation from a straight line (%)")
-    caption = f"From {reach} of saturation, the signal deviates from a straight line by LE = {100 * result.error:.2g} %."
-    caption += " Linearity: relative deviation of the mean signal from a straight line fitted to minimise it. Bars: standard error."
+    caption = "Linearity: relative deviation of the mean signal from a straight line fitted to minimise it. Bars: standard error."
     table = {"photons_p": light.at, "deviation_percent": percent, "within": inside.astype(int)}
     return plate("linearity", caption, figure, table)
 
@@ -166,8 +158,7 @@ def dark_current_plate(sheet: DataSheet) -> Plate:
         panels[2].set_yscale("log")
         plain_powers(panels[2].yaxis)
         finish(panels[2], "temperature (K)", "dark current (e⁻/s)")
-    caption = f"The dark current is {from_mean.value:.4g} e⁻/s from the mean and {from_variance.value:.4g} e⁻/s from the variance."
-    caption += " Slopes of the dark mean and variance over time. They agree if only dark charge adds noise."
+    caption = "Dark current: slopes of the dark mean and variance over time. They agree if only dark charge adds noise."
     caption += " Right: dark current against temperature." if warm else ""
     table = {"integration_s": dark.at, "mean_dn": dark.mean_dn, "variance_dn2": dark.variance_dn2, "temperature_k": temperatures,
              "dark_current_e_per_s": np.array([current.value for current in warm])}  # fmt: skip
@@ -202,13 +193,8 @@ def histogram_plate(sheet: DataSheet) -> Plate:
         finish(axes, label, "pixels per bin")
         short = name.lower()
         table |= {f"{short}_bin": centres, f"{short}_pixels": counts, f"{short}_normal": normal}
-    dsnu, prnu = sheet.dsnu_e.value, 100 * sheet.prnu.value
-    seen = [
-        f"{value:.3g} {unit}" if math.isfinite(value) else "too small to be seen" for value, unit in ((dsnu, "e⁻"), (prnu, "%"))
-    ]
     caption = (
-        f"DSNU is {seen[0]}, and PRNU is {seen[1]}. Logarithmic histograms of the mean dark image and mean response. Pixels "
-        "outside the normal distribution are defective."
+        "Logarithmic histograms of the mean dark image and mean response. Pixels outside the normal distribution are defective."
     )
     return plate("histograms", caption, figure, table)
 
@@ -224,12 +210,6 @@ def spectrogram(map_: Array, axis: int) -> tuple[Array, Array]:
     return np.asarray(np.fft.rfftfreq(map_.shape[axis]), float), np.asarray(power.mean(axis=1 - axis))
 
 
-def strongest_over_spread(map_: Array) -> float:
-    """Return the largest amplitude of the spectrograms of a map over its standard deviation; 0 for a flat map."""
-    spread = float(map_.std())
-    return max(float(np.sqrt(spectrogram(map_, axis)[1][1:]).max()) for axis in (0, 1)) / spread if spread else 0.0
-
-
 @own_style()
 def spectrogram_plate(sheet: DataSheet) -> Plate:
     """Square roots of the power spectra along rows and columns."""
@@ -243,10 +223,7 @@ def spectrogram_plate(sheet: DataSheet) -> Plate:
         axes.axhline(float(map_.std()), color="0.5", lw=0.8, ls=":")
         axes.set_ylim(0.0, 1.35 * axes.get_ylim()[1])
         finish(axes, "frequency (periods per pixel)", "standard deviation (" + ("e⁻)" if name == "DSNU" else "%)"))
-    dark, response = (strongest_over_spread(map_) for _, _, map_ in deviations(sheet))
     caption = (
-        f"The strongest frequency has {dark:.2g} times the spread of the dark image, and {response:.2g} times that of the "
-        "response; in white noise it has little more than once. "
         "Spectrograms of the mean dark image and the mean response along rows (horizontal) and columns (vertical). White noise is "
         "flat (dotted: standard deviation of all pixels). Column offsets raise the horizontal spectrogram."
     )
@@ -264,10 +241,8 @@ def profile_plate(sheet: DataSheet) -> Plate:
             draw_many(axes, np.arange(mean.size), mean, look, mean.size, label=f"{name}, means of {lines}", zorder=2 + axis)
             table[f"{name.lower()}_{lines}"] = mean
         finish(axes, "column or row", label.replace(", deviation from the mean", ""))
-    spread = [f"{table[f'dsnu_{lines}'].std():.2g} e⁻" for lines in ("columns", "rows")]
     caption = (
-        f"In the dark, means of columns spread by {spread[0]}, and means of rows by {spread[1]}. Profiles: means of columns "
-        f"and rows minus the overall mean. The black level is at least {BLACK_SIGMAS:g} σ of the dark."
+        f"Profiles: means of columns and rows minus the overall mean. The black level is at least {BLACK_SIGMAS:g} σ of the dark."
     )
     return plate("profiles", caption, figure, table)
 

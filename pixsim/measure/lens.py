@@ -143,12 +143,6 @@ class LensData:
         return np.where(self.dark, np.nan, first)
 
     @property
-    def half_area_um2(self) -> Array:
-        """Area in which a PSF is above half of its maximum, (F,); NaN without light."""
-        areas = [float((psf >= psf.max() / 2).sum()) * self.psf_pitch_um**2 if psf.any() else math.nan for psf in self.psfs]
-        return np.array(areas)
-
-    @property
     def loss_percent(self) -> float:
         """Light on the axis that uncoated surfaces would reflect, in %."""
         return 100 * (1 - self.lens.fresnel_transmittance(self.lens.primary_nm))

@@ -1250,16 +1250,14 @@ def sfr_plate(edge: EdgeResponse) -> Plate:
     axes.axvline(nyquist, color="0.6", lw=1, ls="--")
     top = max(1.03, min(1.05 * float(edge.sfr.max()), MAX_SFR_SHOWN))
     axes.annotate("Nyquist", (nyquist, top), ha="center", va="bottom", color="0.35", annotation_clip=False)
-    answer = "The response stays above one half."
     if (mtf50 := edge.mtf50_cy_per_px) is not None:
         at = mtf50 * scale
-        answer = f"The response falls to one half (MTF50) at {at:.3g} {unit}."
         axes.plot(at, 0.5, "o", ms=5, color=COLOURS[1])
         axes.annotate(f"MTF50 {at:.3g}", (at, 0.5), xytext=(12, 12), textcoords="offset points", color=COLOURS[1])
     axes.set(xlabel=f"frequency along the normal of the edge ({unit})", ylabel="e-SFR")
     axes.set_xlim(0, edge.frequency_cy_per_px[-1] * scale)
     axes.set_ylim(0, top)
-    caption = f"{answer} Edge-based spatial frequency response (ISO 12233), with its 95 % interval by the noise of the picture."
+    caption = "Edge-based spatial frequency response (ISO 12233), with its 95 % interval by the noise of the picture."
     return Plate("sfr", caption, figure, edge._table)
 
 

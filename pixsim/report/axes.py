@@ -16,7 +16,7 @@ from pixsim.report.wording import DELTA_E, compromise_answer, rendered_words, we
 from pixsim.show.document import Block, Document, Fact, Link, Listed, Plot, Section, Table, joined, made_with, pairs, plain_text
 from pixsim.show.figures import LOOKS, literal, new_figure, own_style
 from pixsim.show.pages import Column, Figures, Plate, columns_of, figure_files, table_csv
-from pixsim.show.sentences import capital, sentence
+from pixsim.show.sentences import capital
 from pixsim.studies.cases import Case, cases_of
 from pixsim.studies.claims import verdicts
 from pixsim.studies.conditions import Compromise, Regret
@@ -71,17 +71,11 @@ def conditions_plate(found: Compromise, number: int) -> Plate:
 
 
 def conditions_caption(found: Compromise) -> str:
-    """Return what the figure of a compromise shows, with its numbers."""
-    names, words = ", ".join(curve.condition for curve in found.curves), capital(found.metric.words)
-    if found.best is None or found.regret is None:
-        return f"{found.label}: {names} share too few pixel sizes for one that suits all. {words} in each condition."
-    best_of = [(curve.condition, curve.optimum) for curve in found.curves]
-    own = "; ".join(f"{name}: {best.pitch_um:.2f} µm" if best.inside else f"{name}: at an end" for name, best in best_of)
-    answer, (end, *_) = compromise_answer(found), found.metric.best.split()
+    """Return what the figure of a compromise shows."""
     return (
-        f"{sentence(plain_text(joined([answer.head, *answer.below])))} {words} in {names}, and the weighted mean (star: its {end}; "
-        f"dotted line: the least worst regret). The best of each condition (triangles): {own}. Points: means over sensors with "
-        "their 95 % intervals."
+        f"{capital(found.metric.words)} against pixel size in each condition ({found.label}), and the weighted mean. Star: its "
+        "best size; dotted line: the least worst regret; triangles: the best size of each condition. Points: means over sensors "
+        "with their 95 % intervals."
     )
 
 

@@ -15,7 +15,7 @@ from pixsim.measure.lens import MTF_LINES, LensData, cross_section
 from pixsim.show.document import Answer, Document, Listed, Note, Plot, Section, Table, made_with
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, finish, new_figure, own_style
 from pixsim.show.pages import Column, Plate, coarse_table, figure_files
-from pixsim.show.sentences import UNKNOWN, number, smallest_and_largest
+from pixsim.show.sentences import UNKNOWN, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -89,8 +89,7 @@ def layout(data: LensData) -> Plate:
     finish(axes, "z (mm from the first surface)", "y (mm)", None)
     below(figure, axes, len(cut.rays) + 1)
     caption = (
-        f"The lens is {cut.length_mm:.4g} mm long, from its first surface to the image plane, and takes in fields to "
-        f"{lens.max_field_deg:.3g}°. Layout with rays at {lens.primary_nm:.5g} nm, for each field through the centre of the stop, "
+        f"Layout with rays at {lens.primary_nm:.5g} nm, for each field through the centre of the stop, "
         "its edges and halfway between, but for those that a clear aperture stops. Light travels to the right, to the image plane."
     )
     return Plate("layout", caption, figure, dict(table))
@@ -98,23 +97,6 @@ def layout(data: LensData) -> Plate:
 
 def shown_fields(data: LensData) -> list[int]:
     return [index for index in SHOWN if index < data.field_deg.size]
-
-
-def over_the_field(data: LensData, what: str, values: Sequence[float], unit: str) -> str:
-    """Return where a number of the fields is smallest and largest, as a sentence."""
-    return smallest_and_largest(what, data.field_deg.tolist(), values, unit, "°")
-
-
-def half_words(data: LensData) -> str:
-    """Return where the lower MTF, tangential or sagittal, falls to one half on the axis and in the worst field, as a sentence."""
-    ends, lit_deg = data.mtf50_lp_per_mm[~data.dark], data.field_deg[~data.dark]
-    if math.isinf(min(ends)):
-        return "The MTF is above one half in this figure, in every field."
-    words = [f"at {end:.3g} lp/mm" if math.isfinite(end) else "beyond this figure" for end in ends]
-    worst = int(np.argmin(ends))
-    if not worst:
-        return f"The lower MTF falls to one half {words[0]} on the axis, and nowhere earlier."
-    return f"The lower MTF falls to one half {words[0]} on the axis, and earliest {words[worst]} at {lit_deg[worst]:.3g}°."
 
 
 @own_style()
@@ -144,7 +126,6 @@ def spot_plate(data: LensData) -> Plate:
     panels[0].set(ylabel="y (µm)", xlim=(-1.1 * most, 1.1 * most), ylim=(-1.1 * most, 1.1 * most))
     below(figure, panels[0], 6)
     caption = (
-        f"{over_the_field(data, 'The spot', [spot.rms_um for spot in data.spots], 'µm rms')} "
         f"Spots: where rays of each wavelength meet the image plane, from the chief ray at {data.lens.primary_nm:.5g} nm; y points "
         "away from the axis. The circle is the first dark ring of diffraction. Rays that clear apertures stop are left out."
     )
@@ -182,7 +163,6 @@ def psf_plate(data: LensData) -> Plate:
         table |= coarse
     panels[0].set_ylabel("y (µm)")
     caption = (
-        f"{over_the_field(data, 'The area above half of the maximum', data.half_area_um2.tolist(), 'µm²')} "
         f"Point spread functions of the {len(data.wavelength_nm)} wavelengths together, {how(data)}; brightness is the square "
         "root of the irradiance over its maximum. y points away from the axis. The table has means over blocks."
     )
@@ -212,8 +192,7 @@ def mtf_plate(data: LensData) -> Plate:
     axes.set(xlim=(0, frequency[-1]), ylim=(0, 1.02))
     finish(axes, "frequency (line pairs/mm)", "MTF", None)
     below(figure, axes, 5)
-    caption = half_words(data)
-    caption += f" MTF of the wavelengths together, {how(data)}: tangential (lines across the radius) and sagittal (lines along it)."
+    caption = f"MTF of the wavelengths together, {how(data)}: tangential (lines across the radius) and sagittal (lines along it)."
     return Plate("mtf", caption, figure, table)
 
 
@@ -237,13 +216,7 @@ def mtf_over_field(data: LensData) -> Plate:
     axes.set_ylim(0, 1.02)
     finish(axes, "image height (mm)", "MTF", None)
     below(figure, axes, len(data.asked_lp_per_mm))
-    finest = data.asked_lp_per_mm[-1]
-    lowest = data.mtf_at(finest).min(axis=1)
-    at = int(np.nanargmin(lowest))
-    caption = (
-        f"At {finest:.4g} lp/mm, the MTF is least at an image height of {height[at]:.3g} mm: {lowest[at]:.2f}. MTF against image "
-        "height. Solid: tangential; dashed: sagittal."
-    )
+    caption = "MTF against image height. Solid: tangential; dashed: sagittal."
     return Plate("mtf_over_field", caption, figure, table)
 
 
@@ -268,10 +241,8 @@ def curvature_plate(data: LensData) -> Plate:
     lines = [("tangential", c["tangential_focus_mm"], "-"), ("sagittal", c["sagittal_focus_mm"], "--")]
     panels = [("focus behind the image plane (mm)", lines), ("distortion (%)", [("", percent, "-")])]
     figure, _ = curve_figure(panels, ("field angle (degrees)", data.curve_deg))
-    foci_mm = np.concatenate([c["tangential_focus_mm"], c["sagittal_focus_mm"]])
     caption = (
-        f"Distortion goes from {percent.min():.2f} to {percent.max():.2f} %, and the foci lie from {foci_mm.min():.3f} to "
-        f"{foci_mm.max():.3f} mm behind the image plane. Field curvature and distortion at {data.lens.primary_nm:.5g} nm. Left: "
+        f"Field curvature and distortion at {data.lens.primary_nm:.5g} nm. Left: "
         "foci of rays near the chief ray. Right: height of the chief ray against tangent times the scale of a very small image in "
         "the same plane."
     )
@@ -288,10 +259,8 @@ def illumination_plate(data: LensData) -> Plate:
     panels = [("relative illumination", light), ("chief ray angle (degrees)", [("", c["chief_ray_angle_deg"], "-")])]
     figure, row = curve_figure(panels, ("image height (mm)", c["image_height_mm"]))
     row[0].set_ylim(0, 1.05)
-    corner, angle = 100 * c["relative_illumination"][-1], c["chief_ray_angle_deg"][-1]
     caption = (
-        f"At an image height of {c['image_height_mm'][-1]:.3g} mm, the light is {corner:.0f} % of that on the axis and arrives at "
-        f"{angle:.3g}°. Relative illumination and chief ray angle in image space at {data.lens.primary_nm:.5g} nm. The "
+        f"Relative illumination and chief ray angle in image space at {data.lens.primary_nm:.5g} nm. The "
         "illumination is the area of the directions at the image point whose rays pass the stop and the clear apertures."
     )
     traced = {name: c[name] for name in ("image_height_mm", "relative_illumination", "chief_ray_angle_deg")}
@@ -309,11 +278,7 @@ def colour_plate(data: LensData) -> Plate:
     right.plot(nm, focus_um, color=COLOURS[0], marker="o", markevery=8, ms=4)
     finish(left, "field angle (degrees)", f"height at {high:.4g} minus {low:.4g} nm (µm)")
     finish(right, "wavelength (nm)", f"paraxial focus from that at {data.lens.primary_nm:.4g} nm (µm)")
-    lateral_um = float(np.abs(data.curves["lateral_colour_um"]).max())
-    caption = (
-        f"From {low:.4g} to {high:.4g} nm, lateral colour reaches {lateral_um:.2g} µm, and the focus on the axis moves by "
-        f"{np.ptp(focus_um):.3g} µm. Lateral colour of chief rays, and axial colour: the paraxial focus of an object at infinity."
-    )
+    caption = "Lateral colour of chief rays, and axial colour: the paraxial focus of an object at infinity."
     longest = max(nm.size, data.curve_deg.size)
     columns = {"field_deg": data.curve_deg, "lateral_colour_um": data.curves["lateral_colour_um"], "wavelength_nm": nm,
                "focus_um": focus_um}  # fmt: skip

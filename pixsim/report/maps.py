@@ -2,7 +2,7 @@
 
 They are of the study's first metric, which need not be ΔE; tables have the optima by all.
 
-The captions say what is seen, from the numbers drawn, since they are the figures' alternative text.
+A caption says what a figure shows and what its marks mean; the numbers stand in its table.
 """
 
 from __future__ import annotations
@@ -24,11 +24,10 @@ from pixsim.optics.camera import Camera
 from pixsim.sensor.labels import labels_of
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, Look, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate
-from pixsim.show.sentences import Along, Seen, capital, extremes_of, of_lines, sentences, span, three_digits, trends
 from pixsim.studies.axis import Axis
 from pixsim.studies.cases import BASE, of_technology
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY
-from pixsim.studies.result import DOUBTFUL, CasesResult, Curve, StudyResult, closed_range, fresnel_column, range_columns
+from pixsim.studies.result import CasesResult, Curve, StudyResult, closed_range, fresnel_column, range_columns
 from pixsim.studies.sampling import CUTOFF_NM, cutoff_pitch_um
 from pixsim.studies.study_settings import Study
 from pixsim.studies.varied import setting_path
@@ -74,14 +73,18 @@ ROUND = (
 
 
 @dataclass(frozen=True)
-class Scale(Along):
-    """The values of an axis of a study, and where a figure has them.
+class Scale:
+    """The values of an axis of a study, increasing if they are numbers, and where a figure has them.
 
+    unit : empty if there is none, or there are several
     log : whether the figure's scale is logarithmic
     left_out : number of values that a figure has no place for
     lacking : number of values that a figure does not show because the study left out cases of them
     """
 
+    name: str
+    values: tuple[float | int | str, ...]
+    unit: str = ""
     log: bool = False
     left_out: int = 0
     lacking: int = 0
@@ -96,6 +99,15 @@ class Scale(Along):
         kept = evenly(values, min(len(values), MAX_VALUES))
         log = numeric and (axis.spacing == "log" or _even_in_ratios(values))
         return cls(axis.name, tuple(kept), units.pop() if numeric and len(units) == 1 else "", log, len(values) - len(kept))
+
+    @property
+    def numeric(self) -> bool:
+        """Whether the values are numbers, not categories."""
+        return not any(isinstance(value, str) for value in self.values)
+
+    def named(self, value: float | int | str) -> str:
+        """Return a value with its unit and the name of the axis; a label stands for itself."""
+        return value if isinstance(value, str) else f"{self.name} {value:.4g} {self.unit}".rstrip()
 
     @cached_property
     def places(self) -> Array:
@@ -364,29 +376,20 @@ def _metric_columns(metric: str, curves: Sequence[Curve]) -> dict[str, Column]:
     return {name: ["" if value is None else value for value in column] for name, column in values.items()}
 
 
-# --- what is seen ------------------------------------------------------------------------------------------------------
+# --- what captions say ---------------------------------------------------------------------------------------------------
+
+ARROW_MEANS = "Arrow: no limit, to the end of the sizes tried."
+NOT_FOUND = "the best size is not known: it is at an end of the sizes tried, or the film cannot tell sizes apart."
+
+
+def sentences(*parts: str) -> str:
+    """Return sentences as one text, without empty ones."""
+    return " ".join(filter(None, parts))
 
 
 def is_found(curve: Curve) -> bool:
     """Return whether a curve has an optimum: inside the sizes tried, with a film that tells them apart."""
     return curve.optimum.inside and curve.alike_um is None
-
-
-def seen_optimum(curve: Curve) -> Seen:
-    best = curve.optimum
-    low, high = best.interval_um
-    words = f"{best.pitch_um:.2f} µm"
-    if curve.alike_um or (not best.inside and low is None and high is None):
-        return Seen(best.pitch_um, -math.inf, math.inf, "an unknown size")
-    if not best.inside:
-        words += " or less" if best.pitch_um <= curve.fitted_range_um[0] else " or more"
-    return Seen(best.pitch_um, -math.inf if low is None else low, math.inf if high is None else high, words)
-
-
-def seen_best(curve: Curve) -> Seen:
-    """Return the best value of a curve's first metric, such as the least mean ΔE."""
-    best = curve.optimum
-    return Seen(best.value, *best.value_interval, three_digits(best.value))
 
 
 def without(scales: Sequence[Scale]) -> str:
@@ -450,12 +453,11 @@ def optimum_along(grid: Grid, scale: Scale, name: str) -> Plate:
             handles=handles, frameon=False, fontsize=SMALL_PT, loc="outside lower center", ncols=columns, handlelength=LEGEND_LINE
         )
     caption = sentences(
-        trends("the optimum", {line.label: list(map(seen_optimum, line.curves)) for line in lines}, scale),
-        f"Optimal pixel size against {scale.name}; bars: its 95 % interval.",
+        f"Optimal pixel size against {scale.name}.",
+        "Bars: its 95 % interval.",
         "Points of one value stand side by side." if len(lines) > 1 else "",
-        open_words(curves),
-        hollow_words(curves, "Hollow"),
-        doubtful_words(curves),
+        ARROW_MEANS,
+        f"Hollow: {NOT_FOUND}",
         left_out,
         without(grid.scales),
     )
@@ -484,27 +486,6 @@ def draw_optima(axes: Axes, scale: Scale, line: Line, look: Look, place: Transfo
     for which, face in ((found, look.colour), (~found, "white")):
         if which.any():
             axes.plot(scale.places[which], sizes_um[which], marker=look.marker, mfc=face, ms=6, transform=place, **style)
-
-
-def open_words(curves: Sequence[Curve]) -> str:
-    open_ended = any(None in curve.optimum.interval_um for curve in curves)
-    return "Arrow: no limit, to the end of the sizes tried." if open_ended else ""
-
-
-def hollow_words(curves: Sequence[Curve], mark: str) -> str:
-    """Return what a mark of optima that are not found means, if there are some."""
-    what = "least error" if curves[0].judged_by_delta_e else f"{curves[0].metric.best}"
-    why = [f"the {what} is at an end of the sizes tried"] if not all(curve.optimum.inside for curve in curves) else []
-    why += ["the film cannot tell sizes apart"] if any(curve.alike_um for curve in curves) else []
-    return f"{mark}: {', or '.join(why)}." if why else ""
-
-
-def doubtful_words(curves: Sequence[Curve]) -> str:
-    """Return where the model of the microlenses is doubtful, if that is among the sizes tried."""
-    limits_um = [curve.doubtful_below_um for curve in curves if curve.doubtful.any() and curve.doubtful_below_um is not None]
-    if not limits_um:
-        return ""
-    return f"Below {span(*(f'{value:.3g}' for value in (min(limits_um), max(limits_um))))} µm {DOUBTFUL}."
 
 
 @own_style()
@@ -559,12 +540,9 @@ def map_along(grid: Grid, scale: Scale, name: str) -> Plate:
         handles=handles, fontsize=SMALL_PT, loc="outside lower center", ncols=3, facecolor="0.75", handlelength=LEGEND_LINE
     )
     caption = sentences(
-        of_lines({line.label: valley_words(line, scale) for line in lines}),
-        trends(f"the {metric.best}", {line.label: list(map(seen_best, line.curves)) for line in lines}, scale),
         f"Fitted {metric.words} over pixel size and {scale.name}, with the optimum and the sizes within 1 % of its {valley}.",
-        cutoff_words(cutoff_um, low_um, high_um),
-        doubtful_words(curves),
-        hollow_words(curves, "Hollow points"),
+        f"The lens's cut-off is λ/(4 sin α) at {CUTOFF_NM:g} nm.",
+        f"Hollow points: {NOT_FOUND}",
         held_words,
         left_out,
         without([scale]),
@@ -697,24 +675,6 @@ def panel_grid(number: int, height_in: float) -> tuple[Figure, list[Axes]]:
     return figure, grid[:number]
 
 
-def valley_words(line: Line, scale: Scale) -> str:
-    """Return the sizes that are nearly as good as the best for every value of an axis."""
-    ends_um = np.array([closed_range(curve.optimum.within_1_percent_um, curve) for curve in line.curves])
-    low_um, high_um = ends_um[:, 0].max(), ends_um[:, 1].min()
-    where = f"at every value of {scale.name}" if len(line.curves) > 1 else f"with {scale.named(scale.values[0])}"
-    if low_um > high_um:
-        return f"no size is within 1 % of the {line.curves[0].metric.best} {where}"
-    return f"sizes from {low_um:.2f} to {high_um:.2f} µm are within 1 % of the {line.curves[0].metric.best} {where}"
-
-
-def cutoff_words(cutoff_um: Array, low_um: float, high_um: float) -> str:
-    ends = span(cutoff_um.min(), cutoff_um.max(), ".3g")
-    where = (
-        ", below all sizes tried" if cutoff_um.max() < low_um else ", above all sizes tried" if cutoff_um.min() > high_um else ""
-    )
-    return f"The size whose Nyquist frequency is the lens's cut-off, λ/(4 sin α) at {CUTOFF_NM:g} nm, is {ends} µm{where}."
-
-
 def map_table(grid: Grid, lines: Sequence[Line]) -> dict[str, Column]:
     """Return a row for each curve and 41 of its pitches, with the optimum, its 1 % valley and the lens's limit."""
     curves: list[Curve] = []
@@ -757,8 +717,8 @@ def map_of_two(grid: Grid, across: Scale, up: Scale, name: str) -> Plate:
     figure = new_figure(WIDTH_IN, 0.5 + 2.4 * len(blocks))
     panels = figure.subplots(len(blocks), 2, squeeze=False)
     numbers: tuple[tuple[str, str, Callable[[Curve], float], Callable[[Curve], str]], ...] = (
-        ("optimal pixel size (µm)", "cividis", lambda curve: curve.optimum.pitch_um, cell_words),
-        (best, "viridis", lambda curve: curve.optimum.value, lambda curve: three_digits(curve.optimum.value)),
+        ("optimal pixel size (µm)", "cividis", optimum_um, cell_words),
+        (best, "viridis", best_value, lambda curve: three_digits(best_value(curve))),
     )
     for row, (label, own) in zip(panels, blocks, strict=True):
         for axes, (title, colours, number, words) in zip(row, numbers, strict=True):
@@ -769,15 +729,28 @@ def map_of_two(grid: Grid, across: Scale, up: Scale, name: str) -> Plate:
             axes.set(xlabel=across.label, ylabel=up.label)
     curves = [curve for _, own in blocks for curve in own]
     caption = sentences(
-        *(extremes(label, own, (across, up)) for label, own in blocks),
         f"Optimal pixel size and {best} over {across.name} and {up.name}.",
-        hollow_words(curves, "Hatched"),
-        doubtful_words(curves),
+        f"Hatched: {NOT_FOUND}",
         held_words,
         left_out,
         without([across, up]),
     )
     return Plate(name, caption, figure, grid.columns(curves) | optimum_columns(curves))
+
+
+def optimum_um(curve: Curve) -> float:
+    """Return the best pixel size of a curve."""
+    return curve.optimum.pitch_um
+
+
+def best_value(curve: Curve) -> float:
+    """Return the best value of a curve's first metric, such as the least mean ΔE."""
+    return curve.optimum.value
+
+
+def three_digits(value: float) -> str:
+    """Return a number to three digits, with zeros at its end."""
+    return f"{value:#.3g}".rstrip(".")
 
 
 def cell_words(curve: Curve) -> str:
@@ -818,32 +791,6 @@ def draw_cells(
             axes.text(right, down, text, ha="center", va="center", fontsize=CELL_PT, color=ink, bbox=box)
 
 
-def extremes(label: str, curves: Sequence[Curve], scales: tuple[Scale, Scale]) -> str:
-    """Return where the optimum and the least mean ΔE are smallest and largest, of curves whose first axis changes fastest."""
-    across, up = scales
-
-    def where(points: Sequence[Seen], place: int) -> str:
-        """Name the value of each axis that makes a difference there."""
-        down, right = divmod(place, len(across.values))
-        row = [points[down * len(across.values) + column] for column in range(len(across.values))]
-        column = points[right :: len(across.values)]
-        values = (across.named(across.values[right]), row), (up.named(up.values[down]), column)
-        named = [words for words, others in values if any(points[place].differs(other) for other in others)]
-        return " and ".join(named or [words for words, _ in values])
-
-    parts = []
-    for noun, seen in (("the optimum", seen_optimum), (f"the {curves[0].metric.best}", seen_best)):
-        points = [seen(curve) for curve in curves]
-        least, most = extremes_of(points)
-        if points[least].differs(points[most]):
-            low, high = (f"{points[place].words}, with {where(points, place)}" for place in (least, most))
-            parts.append(f"{noun} is smallest, {low}, and largest, {high}")
-        else:
-            parts.append(f"{noun} does not differ beyond its 95 % intervals: {span(points[least].words, points[most].words)}")
-    text = "; ".join(parts)
-    return (f"{label}: {text}" if label else capital(text)) + "."
-
-
 @dataclass(frozen=True)
 class Group:
     """The curves of one technology and condition about the base: the base's own, and those of each axis that is moved alone."""
@@ -877,18 +824,20 @@ def alone_plate(result: CasesResult) -> Plate | None:
     panels = figure.subplots(len(groups), 2, squeeze=False, sharey=True)
     for (left, right), group in zip(panels, groups, strict=True):
         for row, name in enumerate(names):
-            for axes, seen in ((left, seen_optimum), (right, seen_best)):
-                draw_moves(axes, row, group, name, seen)
-        for axes, seen in ((left, seen_optimum), (right, seen_best)):
-            base = seen(group.base)
-            low, high = closed_range(group.base.optimum.interval_um, group.base) if axes is left else (base.low, base.high)
+            draw_moves(left, row, group, name, optimum_um)
+            draw_moves(right, row, group, name, best_value)
+        best = group.base.optimum
+        for axes, base, (low, high) in (
+            (left, best.pitch_um, closed_range(best.interval_um, group.base)),
+            (right, best.value, best.value_interval),
+        ):
             axes.axvspan(low, high, color="0.5", alpha=0.15, lw=0)
-            axes.axvline(base.value, color="0.2", lw=1)
+            axes.axvline(base, color="0.2", lw=1)
             axes.grid(axis="x", alpha=0.25)
             axes.use_sticky_edges = False
             axes.margins(x=0.15)
             low, high = axes.get_xlim()
-            missing = max(0.0, LEAST_SPAN * abs(base.value) - (high - low)) / 2  # else rounding errors would look like moves
+            missing = max(0.0, LEAST_SPAN * abs(base) - (high - low)) / 2  # else rounding errors would look like moves
             axes.set_xlim(low - missing, high + missing)
             axes.set_title(literal(short(group.label)), fontsize=SMALL_PT + 1)
         left.set_yticks(range(len(names)), labels)
@@ -897,10 +846,9 @@ def alone_plate(result: CasesResult) -> Plate | None:
         axes.set_xlabel(label)
     curves = [curve for group in groups for curve in (group.base, *(each for name in names for each in group.moved[name]))]
     caption = sentences(
-        *(strongest(group, scales) for group in groups),
-        "Each axis moved alone about the base (vertical line, grey: its 95 % interval); a wider bar means a stronger influence.",
-        hollow_words(curves, "Hollow points"),
-        doubtful_words(curves),
+        "Each axis moved alone about the base (vertical line, grey: its 95 % interval).",
+        "The axis with the widest bar moves the optimum most.",
+        f"Hollow points: {NOT_FOUND}",
         left_out,
     )
     table: dict[str, Column] = case_columns(result, curves, [])
@@ -954,13 +902,16 @@ def touching(parts: Sequence[StudyResult], base: StudyResult, technology: str) -
     return list(kept.values())
 
 
-def draw_moves(axes: Axes, row: int, group: Group, name: str, seen: Callable[[Curve], Seen]) -> None:
-    """Draw a bar from the lowest to the highest value of an axis, including the base, with labels at its ends."""
-    points = [(curve, seen(curve).value) for curve in group.moved[name]]
-    values = [seen(group.base).value, *(value for _, value in points)]
+def draw_moves(axes: Axes, row: int, group: Group, name: str, number: Callable[[Curve], float]) -> None:
+    """Draw a bar from the lowest to the highest value of an axis, including the base, with labels at its ends.
+
+    number : of a curve, which is drawn: `optimum_um` or `best_value`
+    """
+    points = [(curve, number(curve)) for curve in group.moved[name]]
+    values = [number(group.base), *(value for _, value in points)]
     axes.barh(row, max(values) - min(values), left=min(values), height=0.5, color=COLOURS[0], alpha=0.25)
     for curve, value in points:
-        face = "white" if seen is seen_optimum and not is_found(curve) else COLOURS[0]
+        face = "white" if number is optimum_um and not is_found(curve) else COLOURS[0]
         axes.plot(value, row, "o", ms=4.5, color=COLOURS[0], mfc=face)
     points.sort(key=lambda point: point[1])
     ends = points if len(points) < 3 else [points[0], points[-1]]
@@ -969,20 +920,3 @@ def draw_moves(axes: Axes, row: int, group: Group, name: str, seen: Callable[[Cu
         text = literal(short(at, SHORT_TICK)) if isinstance(at, str) else f"{at:.4g}"
         offset = (0, 7) if place else (0, -13)
         axes.annotate(text, (value, row), offset, textcoords="offset points", fontsize=CELL_PT, ha="center")
-
-
-def strongest(group: Group, scales: Sequence[Scale]) -> str:
-    """Return which axis moves the optimum most, of those that move it beyond the intervals."""
-    base = seen_optimum(group.base)
-    label = f"{group.label}: " if group.label else ""
-    moves = [
-        (abs(seen.value - base.value), scale, seen.words, curve.at[scale.name])
-        for scale in scales
-        for curve in group.moved[scale.name]
-        if (seen := seen_optimum(curve)).differs(base)
-    ]
-    if not moves:
-        words = f"no axis moves the optimum, {base.words} of the base, beyond the 95 % intervals."
-        return f"{label}{words}" if label else capital(words)
-    _, scale, words, value = max(moves, key=lambda move: move[0])
-    return f"{label}{scale.name} moves the optimum most, from {base.words} of the base to {words} with {scale.words(value)}."

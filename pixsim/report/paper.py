@@ -77,11 +77,9 @@ def figure_2a(result: StudyResult) -> Plate:
     axes.axhspan(35, 70, color="0.93", zorder=0, label="axis of the paper's Fig. 2a")
     axes.set(xlabel="pixel size (µm)", ylabel="dynamic range, and SNR (dB)")
     axes.legend(frameon=False, fontsize=8, handlelength=LEGEND_LINE)
-    (dr, dr_end), (snr, snr_end) = ((column[0], column[-1]) for column in (table["dr_paper_db"], table["snr_paper_db"]))
     caption = (
-        f"Figure 2a: from {pitch_um[0]:g} to {pitch_um[-1]:g} µm, the dynamic range goes from {dr:.1f} to {dr_end:.1f} dB, and the "
-        f"SNR at 20 % of the well from {snr:.1f} to {snr_end:.1f} dB. Equations (1) and (2), 0.35 µm, 30 ms; the numbers are those "
-        "of the paper's capacitance."
+        "Figure 2a: dynamic range and SNR at 20 % of the well against pixel size. Equations (1) and (2), 0.35 µm, 30 ms, with both "
+        "capacitances."
     )
     return Plate("figure_2a_dr_snr", caption, figure, table)
 
@@ -114,10 +112,9 @@ def figure_2b(result: StudyResult) -> Plate:
     terms_axes.plot([nyquist] * 2, [0, np.interp(nyquist, frequency, shown)], ":", color="black", lw=1)
     terms_axes.set(title=f"scene to display: every term, {OPTIMUM_UM:g} µm pixels")
     terms_axes.set(xlabel="frequency on the sensor (lp/mm)", xlim=(0, SIX_UM_NYQUIST_CY_PER_MM))
-    finest, coarsest = (f"{table[f'mtf_{p:g}um'][-1]:.3f} ({p:g} µm)" for p in (FIGURE_2B_PITCHES_UM[0], FIGURE_2B_PITCHES_UM[-1]))
     caption = (
-        f"Figure 2b: at {SIX_UM_NYQUIST_CY_PER_MM:.1f} lp/mm, the system MTF goes from {finest} to {coarsest}. "
-        "Left, as in the paper: system MTF, white-light diffraction times the photodiode's sinc. Dotted: the Nyquist "
+        "Figure 2b: MTF of four pixel sizes, and of every blur at the paper's optimum. Left, as in the paper: system MTF, "
+        "white-light diffraction times the photodiode's sinc. Dotted: the Nyquist "
         "frequency of each pixel. The photodiode is smaller than the pixel (fill factor), so it blurs less than the pitch "
         f"suggests. Right: every term from the scene to the viewer's display, for {OPTIMUM_UM:g} µm pixels, and their product. "
         "The interpolation between pixels and the mean over a dot belong to the display."
@@ -156,10 +153,9 @@ def figure_3(result: StudyResult) -> Plate:
         for name, value in zip(table, (pitch_um, rows, columns, physics.fill_factor, side_um), strict=True):
             table[name].append(value)
     figure.axes[0].set_ylabel("y on the die (µm)")
-    first, last = (f"{table['columns'][end]} × {table['rows'][end]} pixels of {FIGURE_3_PITCHES_UM[end]:g} µm" for end in (0, -1))
     caption = (
-        f"Figure 3: a die of {result.camera.die_mm:g} mm has {first} or {last}. The die stays and the pixels change, so that the "
-        f"lens can stay too. Shown is a corner of the die, {FIGURE_3_SIDE_UM:g} µm wide. Blue: the photodiodes "
+        f"Figure 3: pixels of three sizes on a die of {result.camera.die_mm:g} mm. The die stays and the pixels change, so that "
+        f"the lens can stay too. Shown is a corner of the die, {FIGURE_3_SIDE_UM:g} µm wide. Blue: the photodiodes "
         f"({REFERENCE_TECHNOLOGY}), which share each pixel with its transistors."
     )
     return Plate("figure_3_pixels_on_die", caption, figure, dict(table))
@@ -172,9 +168,7 @@ def figure_4(result: StudyResult) -> Plate:
     figure = new_figure(4.6, 4.4)
     axes = figure.subplots()
     draw_picture(axes, lux / lux.max(), picture_axes(result.irradiance))
-    caption = (
-        f"Figure 4: the light on the sensor goes from {lux.min():.3g} to {lux.max():.3g} lx. The scene as rendered, with fall-off."
-    )
+    caption = "Figure 4: the light on the sensor. The scene as rendered, with fall-off."
     return Plate("figure_4_scene", caption, figure, coarse_table(lux, "illuminance_lx"))
 
 
@@ -191,8 +185,6 @@ def figure_6(evidence: Evidence) -> Plate:
     """Plot curves of equal ΔE for four pixel sizes, over the contrasts that they reach."""
     level = evidence.result.study.iso_delta_e
     _, width_mm, height_mm, _ = extent(evidence.result.irradiance)
-    errors = {pitch_um: float(evidence.maps[pitch_um].mean()) for pitch_um in FIGURE_6_PITCHES_UM}
-    least = min(errors, key=errors.__getitem__)
     figure = new_figure(7.2, 4.2)
     axes = figure.subplots()
     vertices: list[tuple[float, float, float]] = []
@@ -215,10 +207,8 @@ def figure_6(evidence: Evidence) -> Plate:
         "frequency_lp_per_mm": evidence.frequency_lp_per_mm(x).tolist(),
         "contrast": evidence.contrast(y).tolist(),
     }
-    optimum = evidence.curves[REFERENCE_TECHNOLOGY].optimum
-    fitted = f" The optimum of the fitted curve is {optimum.pitch_um:.2f} µm (Figure 7)." if optimum.inside else ""
     caption = (
-        f"Figure 6: of these four sizes, {least:g} µm pixels have the least mean ΔE, {errors[least]:.3f}.{fitted} Curves of "
+        "Figure 6: curves of equal ΔE of four pixel sizes. Curves of "
         f"ΔE = {level:g} (mean of the sensors' maps, smoothed by {ISO_SMOOTHING_DOTS:g} "
         "dots). Contrast grows downwards and errors are larger below a curve, so the lower a curve lies, the better the pixel. "
         "Lower contrasts, which no curve reaches, are left out. The table holds the curves' points."
@@ -261,9 +251,5 @@ def errors_by_frequency_and_contrast(evidence: Evidence) -> Plate:
     figure.colorbar(image, ax=axes, label="mean ΔE", extend="max")
     table: dict[str, Column] = {"contrast": contrast.tolist()}
     table |= {f"delta_e_at_{value:.3g}_lp_per_mm": values[:, index].tolist() for index, value in enumerate(frequency)}
-    row, column = np.unravel_index(int(values.argmax()), values.shape)
-    caption = (
-        f"{FIGURE_5_PITCH_UM:g} µm pixels err most, by a mean ΔE of {values[row, column]:.3g}, at {frequency[column]:.2g} lp/mm "
-        f"and a contrast of {contrast[row]:.2g}. Mean ΔE by spatial frequency and contrast."
-    )
+    caption = f"Mean ΔE of {FIGURE_5_PITCH_UM:g} µm pixels by spatial frequency and contrast."
     return Plate("delta_e_by_frequency_and_contrast", caption, figure, table)

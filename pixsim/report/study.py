@@ -88,15 +88,7 @@ def other_statistics(result: StudyResult, curve: Curve) -> Plate:
     axes.set(xlabel="pixel size (µm)", ylabel="ΔE over its minimum", ylim=(0.9, 3.0))
     axes.grid(alpha=0.25)
     axes.legend(frameon=False, fontsize=8, handlelength=LEGEND_LINE)
-    at_um = {name: float(curve.pitch_um[values.argmin()]) for name, values in curve.means.items()}
-    low, high = (end(at_um, key=at_um.__getitem__) for end in (min, max))
-    words = [f"{at_um[name]:.2f} µm ({name.removesuffix('_delta_e')})" for name in (low, high)]
-    same = at_um[low] == at_um[high]
-    least = f"at {at_um[low]:.2f} µm by every statistic" if same else f"from {words[0]} to {words[1]}, by the statistic"
-    caption = (
-        f"Of the sizes tried, the least error is {least}. Statistics of ΔE of the same pictures ({curve.label}), each divided by "
-        "its minimum."
-    )
+    caption = f"Statistics of ΔE of the same pictures ({curve.label}) against pixel size, each divided by its minimum."
     if csf_range_lp_per_mm(result.irradiance):
         caption += (
             " The maximum belongs to single dots in the darkest bars, where S-CIELAB, which blurs colour more widely than "
@@ -130,12 +122,9 @@ def optimum_against_technology(result: StudyResult) -> Plate:
         "mean_delta_e": [curve.optimum.mean_delta_e for curve in curves],
         "proportional_um": proportional.tolist(),
     }
-    first, last = -1, 0
-    features = size_um / feature_um
     caption = (
-        f"From {feature_um[first]:g} to {feature_um[last]:g} µm, the optimum goes from {size_um[first]:.2f} to {size_um[last]:.2f} "
-        f"µm, which is {features[first]:.3g} to {features[last]:.3g} feature sizes. The line goes through the largest process, as "
-        "if the optimum were proportional to the feature size."
+        "Optimal pixel size of each process against its feature size. The line goes through the largest process, as if the optimum "
+        "were proportional to the feature size."
     )
     return Plate("optimum_against_technology", caption, figure, table)
 
@@ -177,13 +166,11 @@ def light_against_detail(result: StudyResult, curve: Curve) -> Plate:
     }
     lower.set(xlabel="pixel size (µm)", ylabel=f"MTF at {frequency:.3g} lp/mm", ylim=(0, 1.02))
     lower.grid(alpha=0.25)
-    ends = [f"{mpe:.3g} lx·s" if np.isfinite(mpe) else "none below saturation" for mpe in (mpe30[0], mpe30[-1])]
     caption = (
-        f"From {curve.pitch_um[0]:.3g} to {curve.pitch_um[-1]:.3g} µm, MTF50 on the sensor goes from {mtf50[0]:.3g} to "
-        f"{mtf50[-1]:.3g} lp/mm, and the exposure for 30 dB from {ends[0]} to {ends[1]}. Both sides of the trade-off "
-        f"({curve.label}). Above: MTF50, the frequency at which the MTF is one half, on the sensor and on the display (higher is "
-        "better), and the minimum exposure on the sensor for an SNR of 30 dB (equation 2 at 30 ms; lower is better). Below: MTF of "
-        f"each term at {frequency:.3g} lp/mm, {name}, and their product."
+        f"Detail and light against pixel size ({curve.label}), the two sides of the trade-off. Above: MTF50, the frequency at "
+        "which the MTF is one half, on the sensor and on the display (higher is better), and the minimum exposure on the sensor "
+        "for an SNR of 30 dB (equation 2 at 30 ms; lower is better). "
+        f"Below: MTF of each term at {frequency:.3g} lp/mm, {name}, and their product."
     )
     return Plate("light_against_detail", caption, figure, table)
 

@@ -71,10 +71,9 @@ def study_pictures(result: StudyResult, curve: Curve, score: FrameScore, maps: S
     lines = [(value, look, 2.2 if value == level else 1, f"ΔE = {value:g}") for value, look in zip(levels, LOOKS, strict=False)]
     draw_iso(iso, where, smooth, lines)
     caption = (
-        f"The picture of {pitch_um:.2f} µm pixels ({curve.label}) has a mean ΔE of {score.mean_delta_e:.3f}, and one dot in a "
-        f"hundred has more than {score.statistics()['p99_delta_e']:.3g}. Shown are the ideal image, the picture of one sensor, its "
-        f"ΔE map (colour scale 0 to {map_end(result):g}), and curves of equal ΔE, smoothed by {ISO_SMOOTHING_DOTS:g} dots; the "
-        "table holds the mean map."
+        f"Pictures of {pitch_um:.2f} µm pixels ({curve.label}). Shown are the ideal image, the picture of one sensor, its ΔE map "
+        f"(colour scale 0 to {map_end(result):g}), and curves of equal ΔE, smoothed by {ISO_SMOOTHING_DOTS:g} dots; the table "
+        "holds the mean map."
     )
     return Plate(name, caption, figure, coarse_table(mean, "delta_e"))
 

@@ -1,11 +1,10 @@
-"""Sentences about values: a number with its digits and its error, a duration, an interval, a range, a trend, settings."""
+"""Sentences about values: a number with its digits and its error, a duration, an interval, a range, settings."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 UNKNOWN = "–"
@@ -112,143 +111,6 @@ def sentence(words: str) -> str:
     ('Sizes from 2 µm on.', 'Which?')
     """
     return capital(words) if words.endswith(STOPS) else f"{capital(words)}."
-
-
-def smallest_and_largest(what: str, at: Sequence[float], values: Sequence[float], unit: str, unit_of_at: str) -> str:
-    """Return where a number is smallest and where it is largest, as a sentence.
-
-    at : where it has these values; NaN where it has none
-
-    >>> smallest_and_largest("The spot", [0.0, 10.0], [1.2, 3.4], "µm", "°")
-    'The spot is smallest at 0° (1.2 µm) and largest at 10° (3.4 µm).'
-    """
-    known = [(value, place) for value, place in zip(values, at, strict=True) if math.isfinite(value)]
-    if not known:
-        return f"{what} is not known."
-    least, most = ((f"{rounded(value, 3)} {unit}", f"{place:.3g}{unit_of_at}") for value, place in (min(known), max(known)))
-    if least[1] == most[1]:
-        return f"{what} is {least[0]} at {least[1]}."
-    return f"{what} is smallest at {least[1]} ({least[0]}) and largest at {most[1]} ({most[0]})."
-
-
-def sentences(*each: str) -> str:
-    """Return sentences as one text, without empty ones."""
-    return " ".join(filter(None, each))
-
-
-# --- trends: how a number changes along an axis ----------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Along:
-    """The values of an axis, increasing if they are numbers.
-
-    unit : empty if there is none, or there are several
-    """
-
-    name: str
-    values: tuple[float | int | str, ...]
-    unit: str = ""
-
-    @property
-    def numeric(self) -> bool:
-        """Whether the values are numbers, not categories."""
-        return not any(isinstance(value, str) for value in self.values)
-
-    def words(self, value: float | int | str) -> str:
-        """Return a value with its unit."""
-        return value if isinstance(value, str) else f"{value:.4g} {self.unit}".strip()
-
-    def named(self, value: float | int | str) -> str:
-        """Return a value with its unit and the axis' name; a label stands for itself."""
-        return value if isinstance(value, str) else f"{self.name} {self.words(value)}"
-
-
-@dataclass(frozen=True)
-class Seen:
-    """A number with its 95 % interval, infinite where that is open, and its words."""
-
-    value: float
-    low: float
-    high: float
-    words: str
-
-    def differs(self, other: Seen) -> bool:
-        """Whether the intervals do not overlap."""
-        return self.low > other.high or self.high < other.low
-
-
-def three_digits(value: float) -> str:
-    return f"{value:#.3g}".rstrip(".")
-
-
-def extremes_of(points: Sequence[Seen]) -> tuple[int, int]:
-    """Return the places of the smallest and the largest number, of those that are known if some are."""
-    known = [place for place, point in enumerate(points) if point.low > -math.inf or point.high < math.inf]
-    places = known or range(len(points))
-    return min(places, key=lambda place: points[place].value), max(places, key=lambda place: points[place].value)
-
-
-def verb(one: Seen, other: Seen) -> str:
-    return "falls" if other.value < one.value else "rises"
-
-
-def turn_of(points: Sequence[Seen]) -> int | None:
-    """Return the place where a number that first rises falls, or the reverse; None if its intervals show no such place."""
-    first, last = points[0], points[-1]
-    low, high = min(first.value, last.value), max(first.value, last.value)
-    turn = max(range(len(points)), key=lambda place: max(points[place].value - high, low - points[place].value))
-    beyond = not low <= points[turn].value <= high
-    return turn if beyond and points[turn].differs(first) and points[turn].differs(last) else None
-
-
-def trend(noun: str, points: Sequence[Seen], scale: Along) -> str:
-    """Return how a number changes along an axis, as a sentence without its full stop."""
-    if len(points) == 1:
-        return f"{noun} is {points[0].words} with {scale.named(scale.values[0])}"
-    if not scale.numeric:
-        least, most = extremes_of(points)
-        ends = [(points[place].words, scale.words(scale.values[place])) for place in (least, most)]
-        if points[least].differs(points[most]):
-            return f"{noun} is smallest with {ends[0][1]} ({ends[0][0]}) and largest with {ends[1][1]} ({ends[1][0]})"
-        return f"{noun} does not differ beyond its 95 % intervals: {span(ends[0][0], ends[1][0])}"
-    first, last = points[0], points[-1]
-    start = f"{first.words} at {scale.named(scale.values[0])}"
-    end = f"{last.words} at {scale.words(scale.values[-1])}"
-    turn = turn_of(points)
-    if turn is not None:
-        middle = f"{points[turn].words} at {scale.words(scale.values[turn])}"
-        return f"{noun} {verb(first, points[turn])} from {start} to {middle} and {verb(points[turn], last)} to {end}"
-    if first.differs(last):
-        return f"{noun} {verb(first, last)} from {start} to {end}"
-    return f"{noun} does not change beyond its 95 % intervals: {start} and {end}"
-
-
-def trends(noun: str, lines: Mapping[str, Sequence[Seen]], scale: Along) -> str:
-    """Return how a number of each line changes along an axis, as a sentence; lines that all rise or all fall together.
-
-    lines : label -> the number at each value of the axis
-    """
-    if len(lines) > 1 and scale.numeric and len(scale.values) > 1:
-        straight = all(own[0].differs(own[-1]) and turn_of(own) is None for own in lines.values())
-        verbs = {verb(own[0], own[-1]) for own in lines.values()}
-        if straight and len(verbs) == 1:
-            ends = f"From {scale.named(scale.values[0])} to {scale.words(scale.values[-1])}, {noun} {verbs.pop()}"
-            return f"{ends}: {', '.join(f'{own[0].words} to {own[-1].words} ({label})' for label, own in lines.items())}."
-    return of_lines({label: trend(noun, own, scale) for label, own in lines.items()})
-
-
-def of_lines(seen: Mapping[str, str]) -> str:
-    """Return what is seen of each line as a sentence; lines of which the same is seen stand together.
-
-    seen : label -> what is seen
-    """
-    of_words: dict[str, list[str]] = {}
-    for label, text in seen.items():
-        of_words.setdefault(text, []).append(label)
-    if len(of_words) == 1:
-        return sentence(next(iter(of_words)))
-    return "; ".join(f"{' / '.join(labels)}: {text}" for text, labels in of_words.items()) + "."
 
 
 def setting_value(value: object, name: str = "") -> object:

@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import cycle
 
-import numpy as np
-
 from pixsim.base.arrays import Array
 from pixsim.sensor.readout import integration_time_s
 from pixsim.show.figures import LOOKS, new_figure, own_style
@@ -76,12 +74,9 @@ def neq_against_frequency(quanta: Mapping[str, Quanta]) -> Plate:
         axes.set_yscale("log")
     axes.grid(alpha=0.25)
     axes.legend(frameon=False, fontsize=8)
-    first = next(iter(quanta.values()))
-    at_0 = first.neq_per_mm2[0]
-    told = f"{at_0:.3g} quanta a mm² at frequency 0" if np.isfinite(at_0) else "all pixels clip"
     caption = (
         "Noise-equivalent quanta, mean² · MTF²/noise: the quanta that an ideal detector would need for the same ratio of signal to "
-        f"noise at a frequency, along an axis up to the Nyquist frequency. {next(iter(quanta))}: {told}. Mean level and noise are "
-        "those of the judge information; aliases are not in it."
+        "noise at a frequency, along an axis up to the Nyquist frequency. Mean level and noise are those of the judge information; "
+        "aliases are not in it."
     )
     return Plate(NEQ, caption, figure, table)

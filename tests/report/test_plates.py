@@ -455,21 +455,6 @@ def test_svg_text_has_its_targets_and_images(saved: dict[str, str]) -> None:
     assert images >= 8  # the scene, three pictures of either kind, the cells
 
 
-def test_captions_answer_with_the_numbers_drawn(evidence: Evidence, plates: dict[str, Plate]) -> None:
-    """The first sentence of each has a number; those looked at are the table's or the result's."""
-    answers = {name: answer_and_rest(plate.caption)[0] for name, plate in plates.items()}
-    assert all(re.search(r"\d", answer) and answer.endswith(".") for answer in answers.values()), answers
-    curve = evidence.result.curves[0]
-    assert f"{curve.label}: optimal pixel size {curve.optimum.pitch_um:.2f} µm (95 %: " in answers["delta_e_against_pitch"]
-    rows = plates["figure_2a_dr_snr"].table["dr_paper_db"]
-    assert f"from {rows[0]:.1f} to {rows[-1]:.1f} dB" in answers["figure_2a_dr_snr"]
-    errors = {pitch_um: float(evidence.maps[pitch_um].mean()) for pitch_um in evidence.maps}
-    best = min(errors, key=errors.__getitem__)
-    assert f"{best:g} µm pixels have the least mean ΔE, {errors[best]:.3f}" in answers["figure_6_iso_delta_e"]
-    feature = [8.8 / 0.5, 3.9 / 0.18]
-    assert f"{feature[0]:.3g} to {feature[1]:.3g} feature sizes" in answers["optimum_against_technology"]
-
-
 @pytest.mark.parametrize(
     ("caption", "answer"),
     [

@@ -176,9 +176,9 @@ def test_conditions_plate_and_tables_have_the_numbers() -> None:
     best, regret = found_in(found)
     plate = conditions_plate(found, 1)
     assert plate.name == "conditions_1"
-    assert plate.caption.startswith("Data sheet: least weighted mean ΔE ")
+    labels = " ".join(text.get_text() for text in plate.figure.axes[0].get_legend().get_texts())
     for size in (best.pitch_um, regret.pitch_um, found.curves[0].optimum.pitch_um):
-        assert f"{size:.2f} µm" in plate.caption
+        assert f"{size:.2f} µm" in labels
     assert plate.table["condition"] == ["day"] * 9 + ["night"] * 9 + ["never"] * 9
     table = conditions_table([found])
     assert table["pixel_of"] == ["day", "night", "never", "least weighted mean ΔE", "least worst regret"]
