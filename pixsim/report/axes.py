@@ -251,12 +251,6 @@ def _about(result: CasesResult, compromises: Sequence[Compromise]) -> str:
     )
 
 
-CLAIMS = (
-    '"all low" and "all high": the number is at an end of its range in every technology; with the name of a technology, in that '
-    "one only. A trend over technologies counts if no step goes against it and the whole change exceeds its 95 % interval."
-)
-
-
 def _claims(result: CasesResult) -> list[Block]:
     """Return the paper's statements, and the cases that change a verdict, if they are compared."""
     rows = []
@@ -266,5 +260,4 @@ def _claims(result: CasesResult) -> list[Block]:
         rows.append((found.statement, found.given, found.found, agrees(found.agrees), changed))
     head = ("statement of the paper", "paper", "first case", "agrees", "cases that change the verdict")
     table = Table("the paper's statements", head, rows, words=None, stacks=True)
-    words = "Each statement compared with the first case, and the cases with the opposite verdict."
-    return [words, table, CLAIMS] if rows else []
+    return [table] if rows else []

@@ -43,7 +43,7 @@ from pixsim.show.pictures import scale
 from pixsim.show.render import lines
 from pixsim.show.sentences import capital
 from pixsim.studies.agreement import agreement_of, judges_against_pitch, metrics_against_pitch
-from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, findings, response_note
+from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, findings
 from pixsim.studies.conditions import Compromise
 from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.extent import csf_range_lp_per_mm
@@ -309,14 +309,7 @@ INTERVAL = (
     "sensors, the registration of pixels with the detail, and the uncertainty of the curve between the sizes tried. It does not "
     "include the error of the render and its film, or the choice of lens, process and display."
 )
-NO_COUNTERPART = (
-    "Figure 1 of the paper, a pixel's circuit and layout, has no counterpart here. Those of Figures 7 to 9 that this study has are "
-    'above, under "Curves".'
-)
-PAPER = (
-    'Chen, Catrysse, El Gamal and Wandell, "How small should pixel size be?", Proc. SPIE 3965 (2000). Its parameter table, lens, '
-    "response curve, fixed pattern, ADC, display and the values in its Figures 5 to 9 are not available: they are assumed here."
-)
+PAPER = 'Chen, Catrysse, El Gamal and Wandell, "How small should pixel size be?", Proc. SPIE 3965 (2000).'
 
 
 def study_page(
@@ -357,8 +350,8 @@ def study_page(
             budgets_section(budgets),
             Section("limits", "What limits these pixels", _limits(result)),
             Section("maps", "Whole pictures and maps", _maps(result, plots["maps"])),
-            Section("paper", "Statements of the paper and results of pixsim", _paper(result, rows)),
-            Section("figures", "The paper's other figures", [NO_COUNTERPART, *plots["paper"]] if plots["paper"] else ()),
+            Section("paper", "Statements of the paper and results of pixsim", _paper(rows)),
+            Section("figures", "The paper's other figures", plots["paper"]),
             budget_section(result.budget),
             Section("optima", "Optima", [optima_table(result.curves)]),
             Section("numbers", "Numbers", [Section("", capital(curve.label), [numbers_table(curve)]) for curve in result.curves]),
@@ -423,13 +416,11 @@ def _maps(result: StudyResult, plots: Sequence[Plot]) -> list[Block]:
     return [f"All maps of this report have the same {scale(map_end(result)).name}; larger errors have its last colour.", *plots]
 
 
-def _paper(result: StudyResult, rows: Sequence[Finding]) -> list[Block]:
+def _paper(rows: Sequence[Finding]) -> list[Block]:
     """Return the statements of the paper, if they are compared."""
-    head = "statement of the paper", "paper", "pixsim", "agrees", "remark"
-    statements = [(row.statement, row.given, row.found, agrees(row.agrees), row.why) for row in rows]
-    table = Table("statements of the paper", head, statements, words=None, stacks=True)
-    more = "`pixsim study chen2000-sensitivity` lists the settings that change each verdict."
-    return [PAPER, response_note(result.study), table, more] if rows else []
+    head = "statement of the paper", "paper", "pixsim", "agrees"
+    statements = [(row.statement, row.given, row.found, agrees(row.agrees)) for row in rows]
+    return [PAPER, Table("statements of the paper", head, statements, words=None, stacks=True)] if rows else []
 
 
 def agrees(whether: bool) -> tuple[VerdictText]:

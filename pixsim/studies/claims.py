@@ -1,14 +1,12 @@
-"""Statements of Chen, Catrysse, El Gamal and Wandell (2000), each compared with a study's result.
-
-A row that does not agree is kept, with its reason.
-"""
+"""Statements of Chen, Catrysse, El Gamal and Wandell (2000), each compared with a study's result."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import cached_property, partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -25,9 +23,8 @@ from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.technology import Technology, with_fill_factor_law
 from pixsim.studies.cases import BASE, of_technology
 from pixsim.studies.engine import Workers, results_of
-from pixsim.studies.pixels import physics_of, technology_of
+from pixsim.studies.pixels import technology_of
 from pixsim.studies.result import CasesResult, Curve, StudyResult
-from pixsim.studies.sampling import largest_pixel_um
 from pixsim.studies.sentences import interval_words
 from pixsim.studies.study_settings import Study
 from pixsim.viewer.display import picture_size_um
@@ -69,7 +66,6 @@ OPTIMUM_UM, OPTIMUM_FILL_FACTOR = 6.5, 0.30
 TOLERANCE_UM = 0.4  # "approximately 6.5 µm", which the paper distinguishes from 6 and 8 µm
 FILL_FACTOR_TOLERANCE = 0.05
 SENSORS = 8
-FINE_DISPLAY_BITS = 16
 FREQUENCY_BINS, CONTRAST_BINS = 6, 8
 CONTRAST_SMOOTHING_DOTS = 4.0
 HISTOGRAM_BINS, MODE_PROMINENCE = 1000, 0.02  # prominence of the highest mode
@@ -79,13 +75,12 @@ UNKNOWN: Interval = (None, None)
 
 @dataclass(frozen=True)
 class Finding:
-    """A statement of the paper and the corresponding result."""
+    """A statement of the paper: the quantity, what the paper gives, what a study finds, and whether the two agree."""
 
     statement: str
     given: str
     found: str
     agrees: bool
-    why: str = ""
 
 
 @dataclass(frozen=True)
@@ -120,14 +115,6 @@ class Evidence:
         return maps, borders
 
     @cached_property
-    def fine_display_map(self) -> Array:
-        """ΔE map of one sensor at 8 µm on a display without visible quantisation."""
-        study = self.result.study
-        display = study.display.model_copy(update={"bits": FINE_DISPLAY_BITS})
-        finer = replace(self.result, study=study.model_copy(update={"display": display}))
-        return finer.shown_scores(REFERENCE_TECHNOLOGY, 8.0, 1)[0].delta_e
-
-    @cached_property
     def thresholds(self) -> dict[float, Array]:
         """Pitch -> contrast at which the mean ΔE of each frequency bin reaches the iso level; inf if never."""
         level = self.result.study.iso_delta_e
@@ -147,14 +134,6 @@ class Evidence:
     def frequencies_lp_per_mm(self) -> Array:
         """Centres of the bins of `thresholds`."""
         return self.frequency_lp_per_mm(frequency_places(self.border(FIGURE_6_PITCHES_UM[0])[1]))
-
-
-ASSUMED = "depends on the lens, response, fixed pattern and display, which the paper does not state"
-
-
-def depending(statement: str, given: str, result: str, agrees: bool) -> Finding:
-    """Return a row that depends on unstated assumptions, with that reason if it does not agree."""
-    return Finding(statement, given, result, agrees, "" if agrees else ASSUMED)
 
 
 def by_frequency(delta_e: Array) -> Array:
@@ -320,55 +299,30 @@ def reference_process(study: Study) -> Technology:
     return with_fill_factor_law(technology_of(study, REFERENCE_TECHNOLOGY), study.pixel.fill_factor_law)
 
 
-def response_note(study: Study) -> str:
-    """Return a note that compares the quantum efficiency of a study with that of its reference process."""
-    stated = reference_process(study)
-    wavelength_nm = np.arange(300.0, 1101.0)
-    used = float(
-        physics_of(study, REFERENCE_TECHNOLOGY, largest_pixel_um(study, REFERENCE_TECHNOLOGY))
-        .quantum_efficiency(wavelength_nm)
-        .max()
-    )
-    reference = f"{stated.peak_quantum_efficiency:g} ({stated.sources.get('peak_quantum_efficiency', 'no source')})"
-    apart = not math.isclose(used, stated.peak_quantum_efficiency, rel_tol=0.01)
-    verdict = "The two contradict each other" if apart else "The two agree"
-    if study.pixel.quantum_efficiency is not None:
-        return f"The quantum efficiency of this study peaks at {used:.3g}. The process {stated.name} states {reference}. {verdict}."
-    reading, other = ("literally, as a quantum efficiency", "scaled") if study.pixel.response == "literal" else (
-        "as A/W, scaled to the process", "literal"
-    )  # fmt: skip
-    return (
-        f"The response file is read {reading}: it peaks at {used:.3g}. The process {stated.name} states {reference}. {verdict}. "
-        f"For the optimum with the other reading, add `--pixel.response {other} --out FOLDER` to the command."
-    )
-
-
 def _pixel_rows(evidence: Evidence) -> Iterator[Finding]:
     process = reference_process(evidence.result.study)
     for size_um, given in FILL_FACTORS.items():
         result = float(fill_factor_law(size_um, process))
-        name, why = f"Fill factor at {size_um:g} µm", "the law of the packaged process is fitted to these three numbers"
-        yield Finding(name, f"{given:.0%}", f"{result:.1%}", abs(result - given) < 0.015, why)
+        yield Finding(f"Fill factor at {size_um:g} µm", f"{given:.0%}", f"{result:.1%}", abs(result - given) < 0.015)
     pitch_um = np.geomspace(5.3, 15.0, 25)
     low, high = FIGURE_2_RANGE_DB
     for name, db in zip(("DR", "SNR at 20 % well"), dr_and_snr_db(pitch_um, "paper", process), strict=True):
         axis, reach = f"within {low:g} to {high:g} dB", f"{db.min():.1f} to {db.max():.1f} dB"
         inside = bool(low <= db.min() and db.max() <= high)
-        yield Finding(f"{name} from 5.3 to 15 µm (Fig. 2a)", axis, reach, inside, "`paper` capacitance, fitted to this axis")
+        yield Finding(f"{name} from 5.3 to 15 µm (Fig. 2a)", axis, reach, inside)
         exponent = growth_exponent(pitch_um, db)
-        why = "with the paper's fill factors, 5 to 73 %, the photodiode's area grows as pitch^4.6 between these pitches, and the "
-        why += "axis of its Fig. 2a, 35 to 70 dB, allows more than √pitch"
-        yield Finding(f"{name} grows roughly as √pitch", "pitch^0.5", f"pitch^{exponent:.2f}", abs(exponent - 0.5) < 0.15, why)
+        yield Finding(f"{name} grows roughly as √pitch", "pitch^0.5", f"pitch^{exponent:.2f}", abs(exponent - 0.5) < 0.15)
 
 
 def _optimum_rows(evidence: Evidence) -> Iterator[Finding]:
     curve = evidence.curves[REFERENCE_TECHNOLOGY]
     best = curve.optimum
-    found, agrees = f"{best.pitch_um:.2f} µm (95 %: {interval_words(curve)})", abs(best.pitch_um - OPTIMUM_UM) <= TOLERANCE_UM
-    yield Finding("Optimal pixel size at 0.35 µm", f"about {OPTIMUM_UM:g} µm", found, best.inside and agrees, ASSUMED)
+    size = f"{best.pitch_um:.2f} µm (95 %: {interval_words(curve)})"
+    agrees = best.inside and abs(best.pitch_um - OPTIMUM_UM) <= TOLERANCE_UM
+    yield Finding("Optimal pixel size at 0.35 µm", f"about {OPTIMUM_UM:g} µm", size, agrees)
     fill_factor = curve.optimum_fill_factor
     agrees = abs(fill_factor - OPTIMUM_FILL_FACTOR) <= FILL_FACTOR_TOLERANCE
-    yield depending("Its fill factor", f"{OPTIMUM_FILL_FACTOR:.0%}", f"{fill_factor:.0%}", agrees)
+    yield Finding("Its fill factor", f"{OPTIMUM_FILL_FACTOR:.0%}", f"{fill_factor:.0%}", agrees)
 
 
 def _bands(frequencies_lp_per_mm: Array) -> str:
@@ -384,34 +338,25 @@ def _iso_rows(evidence: Evidence) -> Iterator[Finding]:
     for good, bad in ((8.0, 15.0), (6.0, 8.0)):
         better, worse = limits[good] > limits[bad], limits[good] < limits[bad]
         result = f"better at {_bands(centres[better])}, worse at {_bands(centres[worse])}"
-        if not (better | worse).all():
-            result += "; elsewhere neither reaches the level, or both at the same contrast"
         agrees = bool(better.any() and not worse.any())
-        yield depending(f"{title}: {good:g} µm is better than {bad:g} µm", "at every frequency", result, agrees)
+        yield Finding(f"{title}: {good:g} µm is better than {bad:g} µm", "at every frequency", result, agrees)
     six, smallest = limits[6.0], limits[5.3]
     apart = np.flatnonzero(six != smallest)
     crosses = bool(apart.size and six[apart[0]] > smallest[apart[0]] and smallest[apart[-1]] > six[apart[-1]])
-    turn = np.flatnonzero(smallest > six)[:1]
-    where = f"; they cross between {centres[turn[0] - 1]:.2g} and {centres[turn[0]]:.2g} lp/mm" if crosses and turn[0] else ""
-    result = f"6 µm better at {_bands(centres[six > smallest])}, 5.3 µm at {_bands(centres[smallest > six])}{where}"
-    yield depending(f"{title}: 6 and 5.3 µm cross", "6 µm better at low, 5.3 µm at high frequencies", result, crosses)
+    result = f"6 µm better at {_bands(centres[six > smallest])}, 5.3 µm at {_bands(centres[smallest > six])}"
+    yield Finding(f"{title}: 6 and 5.3 µm cross", "6 µm better at low, 5.3 µm at high frequencies", result, crosses)
 
 
 def _map_rows(evidence: Evidence) -> Iterator[Finding]:
     count = modes(evidence.sensor_maps[8.0][0])
-    result, why = f"{count} mode{'s' if count != 1 else ''}", ""
-    if count != 1:
-        fine = modes(evidence.fine_display_map)
-        bits = evidence.result.study.display.bits
-        why = f"the quantisation of the display ({bits} bits) adds modes" if fine == 1 else ASSUMED
-        result += f"; {fine} with a display of {FINE_DISPLAY_BITS} bits"
-    yield Finding("Distribution of ΔE (8 µm)", "compact, unimodal", result, count == 1, why)
+    result = f"{count} mode{'s' if count != 1 else ''}"
+    yield Finding("Distribution of ΔE (8 µm)", "compact, unimodal", result, count == 1)
     places, contrast, table = frequency_contrast_table(evidence.maps[8.0], evidence.border(8.0))
     frequency = evidence.frequency_lp_per_mm(places)
     row, column = np.unravel_index(table.argmax(), table.shape)
     corner = bool(row >= CONTRAST_BINS - 2 and column >= FREQUENCY_BINS - 2)
     result = f"mean ΔE largest, {table.max():.1f}, at {frequency[column]:.2g} lp/mm and contrast {contrast[row]:.2f}"
-    yield depending("Largest errors (8 µm)", "at high frequency and high contrast", result, corner)
+    yield Finding("Largest errors (8 µm)", "at high frequency and high contrast", result, corner)
 
 
 # Statements of section 5 on all processes together.
@@ -440,45 +385,32 @@ def scaling_rows(curves: Sequence[Curve]) -> list[Finding]:
     least = [best.mean_delta_e for best in optima]
     least_intervals = [best.mean_delta_e_interval if best.inside else UNKNOWN for best in optima]
 
-    def row(statement: str, given: str, values: Sequence[float], digits: int, verdict: tuple[bool, str]) -> Finding:
+    def row(statement: str, given: str, values: Sequence[float], digits: int, agrees: bool) -> Finding:
         result = ", ".join(f"{value:.{digits}f}" for value in values) + f" at {', '.join(names)} µm"
-        agrees, why = verdict
-        if not agrees and why.startswith(FALLS) and "0.25" in why:
-            why += "; the 0.25 µm junction is unusually capacitive"
-        return Finding(statement, given, result, agrees, why)
+        return Finding(statement, given, result, agrees)
 
-    shrinks = rise(size_um[::-1], size_intervals[::-1], names[::-1])
     optimum, slower, worse = SCALING
     return [
-        row(optimum, "yes", size_um, 2, shrinks),
-        row(slower, "optimum/F rises", ratio, 1, rise(ratio, ratio_intervals, names)),
-        row(worse, "rises", least, 3, rise(least, least_intervals, names)),
+        row(optimum, "yes", size_um, 2, rise(size_um[::-1], size_intervals[::-1])),
+        row(slower, "optimum/F rises", ratio, 1, rise(ratio, ratio_intervals)),
+        row(worse, "rises", least, 3, rise(least, least_intervals)),
     ]
 
 
-FALLS = "it falls"
-
-
-def rise(values: Sequence[float], intervals: Sequence[Interval], names: Sequence[str]) -> tuple[bool, str]:
-    """Return whether values rise from the first process to the last, and the reason.
+def rise(values: Sequence[float], intervals: Sequence[Interval]) -> bool:
+    """Return whether values rise from the first process to the last.
 
     They rise if no step falls and the whole rise exceeds its 95 % interval, whose half width is √((b - b_low)² +
     (a_high - a)²) for a first value a and a last value b of independent sensors.
 
     values : one for each process, in one unit
     intervals : 95 %, low and high; None for an open end. A rise that depends on an open end is unknown, and so is one that
-        includes a value with both ends open.
-    names : feature sizes of the processes in µm
+        includes a value with both ends open; neither counts as a rise.
     """
-    unknown = [name for name, interval in zip(names, intervals, strict=True) if interval == UNKNOWN]
-    falls = [f"{names[i]} to {names[i + 1]}" for i in range(len(values) - 1) if values[i + 1] < values[i]]
     low, high = intervals[-1][0], intervals[0][1]
-    if not unknown:
-        if falls:
-            return False, f"{FALLS} from {', from '.join(falls)} µm"
-        unknown = [name for name, end in ((names[0], high), (names[-1], low)) if end is None]
-    if unknown or low is None or high is None:
-        return False, f"not known: the 95 % interval is open at {', '.join(unknown)} µm"
-    whole, half = values[-1] - values[0], math.hypot(values[-1] - low, high - values[0])
-    agrees = whole > half
-    return agrees, f"the whole rise, {whole:.3g}, {'exceeds' if agrees else 'is within'} its 95 % interval, ±{half:.2g}"
+    if low is None or high is None or UNKNOWN in intervals:
+        return False
+    falls = any(after < before for before, after in pairwise(values))
+    whole = values[-1] - values[0]
+    half = math.hypot(values[-1] - low, high - values[0])
+    return not falls and whole > half

@@ -20,7 +20,7 @@ def claims_table(rows: list[dict[str, Any]], cases: list[dict[str, Any]]) -> lis
     ends = ("settings that change the verdict |", "---|") if cases else ("", "")
     lines = ["| the paper says | given | pixsim finds | agrees |" + f" {ends[0]}".rstrip(), "|---|---|---|---|" + ends[1]]
     for row in rows:
-        verdict = "yes" if row["agrees"] else f"**does not agree**: {row['why']}"
+        verdict = "yes" if row["agrees"] else "**does not agree**"
         cells = [row["statement"], row["given"], row["found"], verdict]
         if cases:
             turning = [case for case in cases[1:] if case["agrees"].get(row["statement"], row["agrees"]) != row["agrees"]]

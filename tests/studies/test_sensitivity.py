@@ -300,10 +300,10 @@ def test_paper_table_of_synthetic_result() -> None:
         {"alone": part.curves[0].alone, "at": part.curves[0].at, "agrees": {row.statement: row.agrees for row in own}}
         for part, own in zip(result.parts, result.findings, strict=True)
     ]
-    rows = [{"statement": SLOWER, "given": "g", "found": "f", "agrees": agrees, "why": "w"} for agrees in (True, False)]
+    rows = [{"statement": SLOWER, "given": "g", "found": "f", "agrees": agrees} for agrees in (True, False)]
     yes, no = claims_table(rows[:1], cases)[-1], claims_table(rows[1:], cases)[-1]
     assert yes == f"| {SLOWER} | g | f | yes | 2 of 5: narrow (e); wide (d) |"
-    assert no == f"| {SLOWER} | g | f | **does not agree**: w | 3 of 5: narrow (a); wide (b); one-sided (c) |"
+    assert no == f"| {SLOWER} | g | f | **does not agree** | 3 of 5: narrow (a); wide (b); one-sided (c) |"
     head = ["| the paper says | given | pixsim finds | agrees |", "|---|---|---|---|"]
     assert claims_table(rows[:1], []) == [*head, f"| {SLOWER} | g | f | yes |"]
     curves = [{"technology": each.technology, "alone": each.alone, "optimum": each.optimum.as_dict()} for each in result.curves]
