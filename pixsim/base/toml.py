@@ -86,9 +86,9 @@ def resolve_file(path: Path, name: object) -> Any:
 
 @lru_cache
 def packaged(folder: str) -> Mapping[str, Path]:
-    """Name -> path of the packaged TOML files in a folder (`data/technologies`, `data/studies`)."""
+    """Name -> path of the packaged TOML files in a folder (`data/technologies`, `data/studies`), without overrides of --quick."""
     root = Path(str(resources.files("pixsim") / folder))
-    return MappingProxyType({path.stem: path for path in sorted(root.glob("*.toml"))})
+    return MappingProxyType({path.stem: path for path in sorted(root.glob("*.toml")) if path.suffixes[-2:-1] != [".quick"]})
 
 
 def kind_of_value(value: object) -> str:

@@ -28,6 +28,7 @@ from pixsim.cli.options import DEFAULT_OUT, HELP, HELP_ALL, Json, Out, SceneOpti
 from pixsim.cli.process import interruption
 from pixsim.optics.lens_options import LensOptions
 from pixsim.studies.study_layers import study_layers
+from pixsim.viewer.merging import merged
 from pixsim.viewer.setting import Run
 
 RawFormat = Literal["tiff", "png", "npz"]
@@ -311,7 +312,7 @@ def study(
         bool | None,
         Parameter(help="Add sizes and sensors where an interval is open [default: that of the study].", negative="--no-refine"),
     ] = None,
-    quick: Annotated[bool, Parameter(help="Use the values of the study's [quick] table: fewer pitches and sensors.")] = False,
+    quick: Annotated[bool, Parameter(help="Fewer pitches and sensors, by the file NAME.quick.toml next to the study's.")] = False,
     jobs: Annotated[int | None, Parameter(help="Number of processes [default: one per core]; results do not depend on it.")] = None,
     scheduler: Scheduler = None,
     axis: Annotated[
@@ -382,24 +383,25 @@ def study(
     from pixsim.studies.result import CasesResult
     from pixsim.studies.sensor_types import asked_of, check_types
     from pixsim.studies.study import run_prepared
-    from pixsim.studies.study_file import checked_study, read_study, uncertainty_of
+    from pixsim.studies.study_file import checked_study, config_layers, read_study, uncertainty_of
 
-    table = read_study(study)
+    stated = read_study(study, quick)
     chosen = {"display": display, "pitch": pitch, "seed": seed, "refine": refine, "tolerance_e": tolerance_e}
     chosen |= {"noise_budget": noise_budget, **vars(judges)}
     tables = options.study_tables(scene, effort, **chosen)
+    files = config_layers(options.config or [])
     if axis:
-        tables["axis"] = common.axes_of(axis, table.table.get("axis", []))
+        tables["axis"] = common.axes_of(axis, merged([*stated, *files]).get("axis", []))
     with collected_notes():  # also of what is found before the study begins
-        layers = study_layers(table, options.config or [], tables)
+        layers = study_layers(stated, files, tables)
         seconds: dict[str, float] = {}
         suffix = "-quick" if quick else ""
         plan = checked_study(layers, tables)
         folder = out or DEFAULT_OUT / f"{plan.name}{suffix}"
-        spreads = uncertainty_of(study, options.config or [])
-        if MANY_CASES < (cases := number_of_cases(plan.quickened if quick else plan)) <= MAX_CASES:
+        spreads = uncertainty_of(study, options.config or [], quick)
+        if MANY_CASES < (cases := number_of_cases(plan)) <= MAX_CASES:
             common.verbosity.note(f"{cases} cases are checked, each by itself: about {duration(cases * CASE_S)}")
-        job = replace(prepare(plan, variant, quick), uncertainty=spreads)
+        job = replace(prepare(plan, variant), uncertainty=spreads)
         asked, types = asked_of(uncertainty, sobol, smaller_than or (), spreads), 0
         if asked is not None:
             types, evaluations = check_types(job.study, [case.settings for case in job.cases], asked, yes or dry_run)

@@ -397,7 +397,7 @@ def axes_of(texts: Sequence[str], known: Sequence[Any]) -> list[Any]:
         table = _values_of(text, values)
         if name in by_name:
             table = _of_labels(text, table, by_name[name].get("values"))
-            for old in ("values", "from", "to", "count", "spacing", "quick"):
+            for old in ("values", "from", "to", "count", "spacing"):
                 by_name[name].pop(old, None)
             by_name[name].update(table)
         else:

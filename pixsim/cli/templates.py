@@ -39,7 +39,7 @@ EXAMPLES: dict[str, Any] = Camera().model_dump() | {
     "relative_illumination": [[0.0, 1.0], [1.0, 0.9], [2.0, 0.7]], "vignetting_factors": "use",
     "parameters": {"resolution": 512}, "scene": {"resolution": 512}, "detail": [0.8, 0.9],
     "sensors": {"my_sensor.toml": {"pitch_um": 3.75, "technology": "4t-bsi"}},
-    "sources": {"pixel.bits": "data sheet, page 3"}, "quick": {"repeats": 4},
+    "sources": {"pixel.bits": "data sheet, page 3"},
 }  # fmt: skip
 # Fields that are not commented out.
 SENSOR_SHOWN = tuple(f"pixel.{name}" for name in ("pitch_um", *DATA_SHEET, "quantum_efficiency_nm", "bits", "prnu", "dsnu"))
@@ -60,7 +60,6 @@ A study of pixel sizes, for `pixsim study THIS_FILE`. The numbers below are exam
 UNCERTAINTY = (
     "how far numbers of the data sheet may be wrong, each by its standard deviation or its range; frames do not depend on it"
 )
-BASE = "a packaged study, or a TOML file, whose values hold where this file gives none; it shares that study's random streams"
 UNCERTAINTY_EXAMPLE = """
 ##   [pixel.uncertainty]
 ##   read_noise_e = { sd = 0.2 }
@@ -76,9 +75,6 @@ def template(kind: str) -> str:
     order = ["pixel", *(name for name in tables if name != "pixel")] if kind == "sensor" else list(tables)
     top = {name: field for name, field in schema["properties"].items() if name not in tables}
     lines += ["", *_fields(top, shown, "")]
-    lines += textwrap.wrap(f'{BASE}; optional: base = "chen2000"', WIDTH, initial_indent="## ", subsequent_indent="##   ") * (
-        kind == "study"
-    )
     for name in order:
         properties = schema["$defs"][tables[name]["$ref"].rpartition("/")[2]]["properties"]
         first = [key for dotted in shown if (key := dotted.removeprefix(f"{name}.")) in properties and key != dotted]
@@ -112,8 +108,6 @@ def json_schema(kind: str) -> dict[str, Any]:
             "propertyNames": {"enum": list(MAY_BE_UNCERTAIN)},
             "additionalProperties": {"$ref": "#/$defs/Spread"},
         }
-    else:  # read with the file
-        schema["properties"]["base"] = {"type": "string", "description": BASE}
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 

@@ -14,14 +14,13 @@ from pydantic import (
     Field,
     SerializerFunctionWrapHandler,
     Tag,
-    ValidationError,
     model_serializer,
     model_validator,
 )
 
 from pixsim.base.arguments import brief
-from pixsim.base.errors import did_you_mean, name_fault
-from pixsim.base.problems import BRANCHES, explain
+from pixsim.base.errors import name_fault
+from pixsim.base.problems import BRANCHES
 from pixsim.base.records import AnyNumber, NumberOrText, Record
 from pixsim.studies.varied import (
     AXIS_COUNT,
@@ -85,9 +84,6 @@ class AxisPoint:
         return self.value if isinstance(self.value, str) else f"{self.value:.4g}"
 
 
-QUICK_OF_AXIS = ("values", "from", "to", "count", "spacing", "alone")
-
-
 class Axis(Record):
     """Something that a study varies beside the pixel size: settings and their values.
 
@@ -116,7 +112,6 @@ class Axis(Record):
         ),
     )
     alone: bool = Field(False, description="vary this axis alone, about the values of the study, not with each value of the others")
-    quick: dict[str, Any] = Field(default_factory=dict, description="values that replace those above with --quick")
 
     model_config = ConfigDict(populate_by_name=True)
 
@@ -149,14 +144,6 @@ class Axis(Record):
         if not tables and not self.set:
             raise ValueError("set: missing; allowed: a dotted setting, as set = 'camera.f_number', or values with label and set")
         labels = [point.label for point in self.points]
-        if unknown := [name for name in self.quick if name not in QUICK_OF_AXIS]:
-            hint = did_you_mean(unknown[0], QUICK_OF_AXIS)
-            raise ValueError(f"quick.{unknown[0]}: unknown name; allowed: {', '.join(QUICK_OF_AXIS)}.{hint and ' '}{hint}")
-        if self.quick:
-            try:
-                _ = self.quickened
-            except ValidationError as error:
-                raise ValueError(f"quick: {explain(error).partition(': ')[2].removesuffix('.')}") from None
         if twice := [place for place, label in enumerate(labels) if label in labels[:place]]:
             values = [self.points[place].value for place in (labels.index(labels[twice[0]]), twice[0])]
             if values[0] != values[1]:
@@ -191,15 +178,6 @@ class Axis(Record):
     def paths(self) -> tuple[tuple[str, ...], ...]:
         """The settings that it changes."""
         return tuple(dict.fromkeys(path for point in self.points for path in paths_of(point.table)))
-
-    @property
-    def quickened(self) -> Axis:
-        """This axis with its `quick` table applied; `values` there replace from, to, count and spacing."""
-        table = self.model_dump(mode="json", exclude={"quick"})
-        ends = ("from", "to", "count", "spacing")
-        void = ends if "values" in self.quick else ("values",) if {"from", "to", "count"} <= self.quick.keys() else ()
-        table = {name: value for name, value in table.items() if name not in void}
-        return Axis.model_validate(table | self.quick)
 
 
 AXIS_DIGITS = 6

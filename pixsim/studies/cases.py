@@ -226,7 +226,7 @@ def with_range_ends(study: Study) -> Study:
 
 def of_technology(study: Study, technology: str) -> dict[str, Any]:
     """Return the settings of a case that one technology depends on: without the other ones and their numbers."""
-    table = study.model_dump(mode="json", exclude={"quick", "axis", "condition", "title", "sources"})
+    table = study.model_dump(mode="json", exclude={"axis", "condition", "title", "sources"})
     kept = {"technologies": [technology]}
     return table | kept | {name: {technology: table[name].get(technology)} for name in ("process", "sensors")}
 

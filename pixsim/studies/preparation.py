@@ -378,27 +378,16 @@ class StudyJob(Job[Study]):
 
 
 def prepare(
-    study: Study,
-    variant: str | None = None,
-    quick: bool = False,
-    light: SpectralImage | None = None,
-    without: SpectralImage | None = None,
+    study: Study, variant: str | None = None, light: SpectralImage | None = None, without: SpectralImage | None = None
 ) -> StudyJob:
     """Choose what a study leaves open, and check everything that can be checked before a render.
 
-    quick : use the values of the study's `quick` table
     light : on the sensor, in place of a scene's
     without : such light without the target
 
     Raises PixsimError for invalid input, and warns of a range of sizes that had to be shortened.
     """
-    has_quick = study.quick or any(axis.quick for axis in study.axis)
-    if quick and not has_quick:
-        if "quick" in study.model_fields_set:  # `study_layers` leaves out of it what files and options set
-            warn(f"the [quick] table of the study {study.name} changes nothing: what it sets was given otherwise")
-        else:
-            warn(f"the study {study.name} has no [quick] table: running it in full")
-    asked = study.quickened if quick else study
+    asked = study
     study = with_range_ends(asked)
     scenes: dict[str, Scene] = {}
     light = None if light is None else light.identified

@@ -439,7 +439,7 @@ class StudyResult:
         more: dict[str, Any] = {"error_budget": self.budget, "film": self.film and self.film.as_dict(), "chosen": self.view}
         more["window_mm"] = self.study.window_mm
         return {name: value for name, value in more.items() if value} | {
-            "study": self.study.model_dump(mode="json", exclude={"quick"}),
+            "study": self.study.model_dump(mode="json"),
             "white_spectrum": white_light(self.irradiance)[1],
             "irradiance": self.irradiance.header,
             "notes": self.notes,
@@ -617,7 +617,7 @@ class CasesResult(StudyResult):
             cases.append({name: value for name, value in own.items() if value} | {"irradiance": part.irradiance.header})
             cases[-1]["white_spectrum"] = white_light(part.irradiance)[1]
         return {
-            "study": self.study.model_dump(mode="json", exclude={"quick"}),
+            "study": self.study.model_dump(mode="json"),
             "chosen": self.view,
             "notes": self.notes,
             **({"left_out": list(self.left_out)} if self.left_out else {}),

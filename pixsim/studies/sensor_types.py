@@ -160,7 +160,7 @@ def _types_by_metric(
     samplings: list[Sizes] = []
     studies: list[Study] = []
     for number, base in enumerate(bases):
-        settings = base.study.model_dump(mode="json", exclude_unset=True, exclude={"axis", "condition", "quick", "target_ci_um"})
+        settings = base.study.model_dump(mode="json", exclude_unset=True, exclude={"axis", "condition", "target_ci_um"})
         settings |= {"metrics": [metric.name], "paper": False, "resolution": base.study.resolution}
         few_frames = base.study.model_copy(update={"metrics": (metric.name,), "repeats": FEW_SENSORS})
         scenes = scenes_of(few_frames, base.irradiance, base.camera, without=base.without)

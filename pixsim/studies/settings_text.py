@@ -41,7 +41,7 @@ def settings_text(record: Record, command: str, uncertainty: Uncertainty | None 
 
     Values stand in it, not files; a technology or a scene with a file of its own is named by its whole path.
     """
-    table = record.model_dump(mode="json", exclude_none=True, exclude={"quick"}) | changes
+    table = record.model_dump(mode="json", exclude_none=True) | changes
     for name, spreads in (uncertainty or {}).items():
         pixel = table.get("sensors", {}).get(name) if name else table.get("pixel")
         kept = {number: spread.model_dump(exclude_none=True) for number, spread in spreads.items() if spread.holds(pixel, number)}

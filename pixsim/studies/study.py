@@ -296,12 +296,14 @@ def study(
 
     plan : a Study, the name of a packaged one, or a TOML file
     out : folder, created if missing
-    config : one or more TOML files with a sensor, its camera, exposure and display for a named study; later ones take precedence
+    config : one or more TOML files with settings of a study, or with a sensor, its camera, exposure and display, for a named
+        study; later ones take precedence
     parameters : of the scene, each in its unit; they override those of a named study
     pixel : fields of the pixels (`PixelOptions`), as {"response": "scaled"}, each in its unit; they override a named study's. A
         data sheet may stand here instead of in a file, with its pitch_um
     scene : XML file or name of a packaged scene, which overrides a named study's
-    quick : use the values of the study's `quick` table
+    quick : with the name or the file of a study: fewer pixel sizes and sensors, by the file NAME.quick.toml next to the study's,
+        or else at most 8 sizes of 4 sensors
     jobs : processes; None means one per core. The results do not depend on it.
     scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers replace local processes;
         on the same kind of processor their results are bitwise equal
@@ -340,17 +342,17 @@ def study(
         raise invalid(names[0], "a value beside light", "one of the two")
     if light is None and without is not None:
         raise invalid("without", "a value without light", f"light beside it; of a scene, {setting('metric.detectability.without')}")
-    given = {"config": config, "parameters": parameters, "pixel": pixel, "scene": scene} | settings
+    given = {"config": config, "parameters": parameters, "pixel": pixel, "scene": scene, "quick": quick} | settings
     if isinstance(plan, Study) and (names := [name for name, value in given.items() if value]):
         hint = "Set these values in the Study instead."
         raise invalid(", ".join(names), "with a Study", "the name or the file of a study", hint)
     with collected_notes():  # also of what is found before the study begins
-        chosen = plan if isinstance(plan, Study) else load_study(plan, config, parameters, pixel, scene, **settings)
-        spreads = uncertainty_of(plan, listed(config)) if isinstance(plan, str | os.PathLike) else {}
+        chosen = plan if isinstance(plan, Study) else load_study(plan, config, parameters, pixel, scene, quick, **settings)
+        spreads = uncertainty_of(plan, listed(config), quick) if isinstance(plan, str | os.PathLike) else {}
         from pixsim.studies.sensor_types import asked_of
 
         asked = asked_of(uncertainty, sobol, smaller_than_um, spreads)
-        job = replace(prepare(chosen, variant, quick=quick, light=light, without=without), uncertainty=spreads)
+        job = replace(prepare(chosen, variant, light=light, without=without), uncertainty=spreads)
         return run_prepared(job, out, jobs=jobs, scheduler=scheduler, progress=progress, agreed=agreed, asked=asked)
 
 

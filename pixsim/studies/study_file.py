@@ -1,4 +1,4 @@
-"""The file of a study: its base, the files beside it, and what options set over it."""
+"""The files of a study: its own, those of overrides, the files that they name, and what options set over them."""
 
 from __future__ import annotations
 
@@ -15,29 +15,54 @@ from pixsim.base.records import checked
 from pixsim.base.toml import packaged, read_toml, resolve_file
 from pixsim.sensor.spread import Spread, Uncertainty, sheet_uncertainty, without_uncertainty
 from pixsim.studies.settings_text import FILES
-from pixsim.studies.study_layers import study_layers
+from pixsim.studies.study_layers import has_study_settings, study_layers
 from pixsim.studies.study_settings import Study, owner_of
 from pixsim.studies.varied import paths_of
 from pixsim.viewer.develop_options import of_python
-from pixsim.viewer.merging import merge
-from pixsim.viewer.settings_file import settings_path
+from pixsim.viewer.settings_file import settings_layer, settings_path
+
+QUICK_REPEATS, QUICK_COUNT = 4, 8
 
 
-def read_study(name: str | os.PathLike[str]) -> Layer:
-    """Return the table of a packaged study by name, or of a TOML file; the files that it names may lie next to it.
-
-    A file with a `base` has all values of that study but those that it sets itself, and its random streams.
-    """
+def study_files(name: str | os.PathLike[str], quick: bool = False) -> list[Path]:
+    """Return the file of a study and, with `quick`, the file of overrides NAME.quick.toml next to it, if there is one."""
     path = study_path(name)
-    table: dict[str, Any] = {}
-    for file in with_bases(path):
-        own = {key: value for key, value in _study_table(file).items() if key != "base"}
-        if table:
-            if "name" not in own:
-                raise invalid("name", f"none in '{file}'", "a name of its own for a study with a base", 'Write name = "my-study".')
-            own.setdefault("streams", table.get("streams", table.get("name")))
-        table = merge(table, own)
-    return Layer(table, str(path))
+    overrides = path.with_name(f"{path.stem}.quick.toml")
+    return [path, overrides] if quick and overrides.is_file() else [path]
+
+
+def read_study(name: str | os.PathLike[str], quick: bool = False) -> list[Layer]:
+    """Return the table of a packaged study by name, or of a TOML file; the files that it names may lie next to the study's file.
+
+    quick : add a layer of overrides: the file NAME.quick.toml next to the study's, or else `quick_table`
+    """
+    layers = [Layer(_study_table(path), str(path)) for path in study_files(name, quick)]
+    if quick and len(layers) == 1:
+        layers.append(Layer(quick_table(layers[0].table)))
+    return layers
+
+
+def quick_table(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return overrides of a study's table: at most 4 sensors of each of at most 8 pixel sizes."""
+    overrides: dict[str, Any] = {"repeats": _at_most(table.get("repeats"), QUICK_REPEATS)}
+    pitch = table.get("pitch", {})
+    if isinstance(pitch, dict) and "values_um" not in pitch:
+        overrides["pitch"] = {"count": _at_most(pitch.get("count"), QUICK_COUNT)}
+    return overrides
+
+
+def _at_most(value: object, limit: int) -> int:
+    """Return a number of a table, reduced to a limit; the limit where the table has no number."""
+    return min(value, limit) if isinstance(value, int) else limit
+
+
+def config_layers(config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]) -> list[Layer]:
+    """Read files that a study takes over its own: of settings of a study, or of a sensor as `pixsim run` takes it."""
+    layers = []
+    for file in listed(config):
+        path = settings_path(file)
+        layers.append(Layer(_study_table(path), str(path)) if has_study_settings(read_toml(path)) else settings_layer(file))
+    return layers
 
 
 def study_path(name: str | os.PathLike[str]) -> Path:
@@ -50,38 +75,36 @@ def study_path(name: str | os.PathLike[str]) -> Path:
     return path
 
 
-def with_bases(path: Path) -> list[Path]:
-    """Return the files of a study: the base of its base and so on, then its own. Raises PixsimError for a circle of bases."""
-    files = [path]
-    while "base" in (table := read_toml(files[0])):
-        base = table["base"]
-        if not isinstance(base, str):
-            raise invalid("base", repr(base), "the name of a packaged study, or a TOML file", f"Change it in '{files[0]}'.")
-        above = study_path(resolve_file(files[0], base))
-        if above.resolve() in [file.resolve() for file in files]:
-            raise invalid("base", f"'{above}', which is based on itself", "a study without such a circle", f"See '{files[0]}'.")
-        files.insert(0, above)
-    return files
-
-
 def _study_table(path: Path) -> dict[str, Any]:
     """Return the table of one file, with whole paths of the files next to it. Raises PixsimError if it is no study."""
     table = read_toml(path)
     if "name" not in table and isinstance(pixel := table.get("pixel"), dict) and "pitch_um" in pixel:
         hint = f"Pass it to a study: pixsim study pixel-size --config {path}"
         raise invalid("study", f"'{path}', the file of a sensor", "the file of a study, which has a name", hint)
-    if old := [name for name in ("vary", "ranges") if name in table]:
-        raise invalid(
-            old[0], f"'{path}', with the spelling of an earlier version", "[[axis]] with alone = true", new_spelling(table)
-        )
-    for part in (table, table.get("quick", {})):
-        if isinstance(part, dict):
-            _resolve_files(part, path)
+    _refuse_earlier_spellings(table, path)
+    _resolve_files(table, path)
     if isinstance(pixel := table.get("pixel"), dict):
         table["pixel"], _ = without_uncertainty(pixel, str(path))
     if isinstance(sensors := table.get("sensors"), dict):
         table["sensors"] = sensors | {name: pixel for name, (pixel, _) in _sheets_of(sensors, path).items()}
     return table
+
+
+def _refuse_earlier_spellings(table: Mapping[str, Any], path: Path) -> None:
+    """Raise PixsimError for a table as earlier versions had it, with what takes its place."""
+    old = [name for name in ("base", "quick", "vary", "ranges") if name in table]
+    if any("quick" in axis for axis in _tables(table.get("axis"))):
+        old.append("axis.quick")
+    if not old:
+        return
+    allowed, hint = "[[axis]] with alone = true", new_spelling(table)
+    if old[0] == "base":
+        allowed = "files over each other, of which later ones win"
+        hint = f"Leave the line out, and write: pixsim study {table['base']} --config {path}"
+    elif old[0] in ("quick", "axis.quick"):
+        allowed = "a file of overrides, which --quick takes"
+        hint = f"Move them to '{path.with_name(path.stem)}.quick.toml', with an axis as a whole."
+    raise invalid(old[0], f"'{path}', with the spelling of an earlier version", allowed, hint)
 
 
 def new_spelling(table: Mapping[str, Any]) -> str:
@@ -99,13 +122,15 @@ def _sheets_of(sensors: dict[str, Any], path: Path) -> dict[str, tuple[dict[str,
     return {name: without_uncertainty(pixel, f"{path}: sensors.{name}") for name, pixel in tables.items()}
 
 
-def uncertainty_of(name: str | os.PathLike[str], config: Sequence[str | os.PathLike[str]] = ()) -> dict[str, dict[str, Spread]]:
-    """Return [pixel.uncertainty] of a study's file and of sensor files, of which later ones take precedence, for `''`.
+def uncertainty_of(
+    name: str | os.PathLike[str], config: Sequence[str | os.PathLike[str]] = (), quick: bool = False
+) -> dict[str, dict[str, Spread]]:
+    """Return [pixel.uncertainty] of a study's files and of sensor files, of which later ones take precedence, for `''`.
 
-    And that of each data sheet whose numbers stand in the study's file, by its name.
+    And that of each data sheet whose numbers stand in the study's files, by its name.
     """
-    files = with_bases(study_path(name))
-    own = {number: spread for path in (*files, *map(settings_path, config)) for number, spread in sheet_uncertainty(path).items()}
+    files = [*study_files(name, quick), *map(settings_path, config)]
+    own = {number: spread for path in files for number, spread in sheet_uncertainty(path).items()}
     tables = [(file, read_toml(file).get("sensors")) for file in files]
     sheets = {
         name: found for file, sensors in tables if isinstance(sensors, dict) for name, found in _sheets_of(sensors, file).items()
@@ -154,33 +179,35 @@ def load_study(
     parameters: Mapping[str, float | int | str] | None = None,
     pixel: Mapping[str, Any] | None = None,
     scene: str | os.PathLike[str] | None = None,
+    quick: bool = False,
     **settings: object,
 ) -> Study:
     """Return a packaged study by name, or one from a TOML file. Raises PixsimError listing all of its errors.
 
-    config : one or more TOML files with a sensor, its camera, exposure and display, as for `pixsim run`; later files take
-        precedence. The well and dark current of a data sheet scale with the photodiode's area.
+    config : one or more TOML files with settings of a study, or with a sensor, its camera, exposure and display, as for
+        `pixsim run`; later files take precedence. The well and dark current of a data sheet scale with the photodiode's area.
     parameters : of the scene; they override those of the study
     pixel : fields of the pixels, each in its unit, which override those of the study and the files; a data sheet may stand here
         instead of in a file, with its pitch_um
     scene : XML file or name of a packaged scene
+    quick : add the overrides of `read_study`: fewer pixel sizes and sensors
     settings : other fields of `Study`, tables as dicts: camera={"f_number": 2.8}, pitch={"min_um": 2.0}, window_mm=1.0
     """
     options = plain_tables(of_python(settings))
     of_scene = {"file": None if scene is None else str(scene), "parameters": dict(parameters) if parameters else None}
     options |= {"scene": {name: value for name, value in of_scene.items() if value is not None}} if scene or parameters else {}
     options |= {"pixel": dict(pixel)} if pixel else {}
-    return checked_study(study_layers(read_study(name), [Path(path) for path in listed(config)], options), options)
+    return checked_study(study_layers(read_study(name, quick), config_layers(config), options), options)
 
 
 def study_of(study: Study | str | os.PathLike[str]) -> tuple[Layer, Study]:
     """Return a study as its file states it, and checked. Raises PixsimError for an invalid one."""
-    layer = Layer(study.model_dump(mode="json", exclude_unset=True)) if isinstance(study, Study) else read_study(study)
+    layer = Layer(study.model_dump(mode="json", exclude_unset=True)) if isinstance(study, Study) else read_study(study)[0]
     return layer, checked_study([layer])
 
 
 def checked_study(layers: Sequence[Layer], options: Mapping[str, Any] | None = None) -> Study:
-    """Return a study from its table and overriding options; its `quick` table is checked too, even if unused.
+    """Return a study from its table and overriding options.
 
     options : among the layers; a warning names those that an axis or the conditions override
     """
@@ -189,10 +216,6 @@ def checked_study(layers: Sequence[Layer], options: Mapping[str, Any] | None = N
     for path in paths_of(given):
         if owner := owner_of(study, path):
             warn(f"{'.'.join(path)} is not used: {owner} sets it")
-    if study.quick:
-        full = [Layer({key: value for key, value in layer.table.items() if key != "quick"}, layer.source) for layer in layers]
-        quick = [Layer(layer.table["quick"], f"{layer.source} [quick]") for layer in layers if "quick" in layer.table]
-        checked(Study, [*full, *quick])
     return study
 
 

@@ -1,4 +1,4 @@
-"""The layers of a study: its own table, sensor files, data sheets and options."""
+"""The layers of a study: its own table, overrides, sensor files, data sheets and options."""
 
 from __future__ import annotations
 
@@ -22,22 +22,33 @@ SET_BY_STUDY = ("pitch_um", "technology")  # fields of a pixel that a study sets
 REPLACED_RANGE = {"values_um": ("min_um", "max_um", "count", "min_fill_factor"), "min_um": ("min_fill_factor",)}
 
 
-def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | None = None) -> list[Layer]:
-    """Layers of a study: its own table, then the sensor files, then the options.
+STUDY_ONLY = Study.model_fields.keys() - Run.model_fields.keys()
+
+
+def has_study_settings(table: dict[str, Any]) -> bool:
+    """Whether a table sets what only a study has, so that it is not a sensor's."""
+    return bool(table.keys() & STUDY_ONLY)
+
+
+def study_layers(studies: Sequence[Layer], files: Sequence[Layer], options: dict[str, Any] | None = None) -> list[Layer]:
+    """Layers of a study: its own table and overrides, then files of settings of a study or of a sensor, then the options.
 
     A data sheet (a sensor without a technology, as `Pixel` has it) becomes the only sensor of the study, whose sizes go from a
     quarter to four times its own unless a range is set. A technology becomes the only one of the study; the pitch of its file is
-    not used. Values that a file or an option replaces are removed from the study's [quick] and [sources].
+    not used. What later layers make void is removed from those of a study. A file that gives the study another name leaves it
+    the random streams of the first.
 
+    studies : of `read_study`
+    files : of `config_layers`
     options : tables of the study; `pixel` may also have pitch_um and technology, and `camera` pixels, as a sensor file has
 
     Raises PixsimError if a file is invalid, or if an option sets a pitch that nothing depends on.
     """
     options = dict(options or {})
-    files = [settings_layer(path) for path in paths]
-    warn_of_mixed_sensors(files)
+    sensors = [layer for layer in files if not has_study_settings(layer.table)]
+    warn_of_mixed_sensors(sensors)
     pixel_options = options.get("pixel", {})
-    sensor = [*files, Layer({name: options[name] for name in ("camera", "pixel") if name in options})]
+    sensor = [*sensors, Layer({name: options[name] for name in ("camera", "pixel") if name in options})]
     settings: Run = checked(Run, sensor)  # so that errors name the fields as they were given
     given = set(merged(sensor).get("pixel", {}))
     derived: dict[str, Any] = {}
@@ -47,7 +58,7 @@ def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | 
     elif "technology" in given:
         derived = {"technologies": [settings.pixel.technology], "paper": False}
     elif "pitch_um" in given and given & {*DATA_SHEET, *STANDS_FOR}:
-        names = ", ".join(map(str, study.table.get("technologies", Study.model_fields["technologies"].default)))
+        names = ", ".join(map(str, merged(studies).get("technologies", Study.model_fields["technologies"].default)))
         missing = ", ".join(missing_of_data_sheet(given))
         warn(f"[pixel] gives no technology and not {missing}, which come from the study's technology {names}")
     scaled = bool(given & set(SCALED_WITH_AREA)) and "data_sheet_pitch_um" not in given
@@ -58,20 +69,43 @@ def study_layers(study: Layer, paths: Sequence[Path], options: dict[str, Any] | 
         raise invalid("pixel.pitch_um", got, expected, "Set pitch.min_um, pitch.max_um or pitch.values_um.")
     if settings.camera.pixels:  # the die of the sheet's own pitch, whatever the pitch of the study
         derived["camera"] = settings.camera.model_dump(include={"die_mm", "die_height_mm"})
-    source = files[-1].source if files else ""
-    overrides = [Layer(_as_study_table(layer.table), layer.source) for layer in files]
-    overrides += [Layer(derived, source), Layer(_without_sensor_only(options))]
-    overriding = merged(overrides)
-    table = _with_light(_with_range(study.table, overriding), overriding)
-    # The parameters of the study are those of its own scene.
-    kept = dict if overriding.get("scene", {}).get("file") is None else _without_parameters
-    table = kept(table)
-    if isinstance(quick := table.get("quick"), dict):
-        table["quick"] = _without(_with_light(_with_range(kept(quick), overriding), overriding), overriding)
-    if isinstance(sources := table.get("sources"), dict):
-        table["sources"] = {name: source for name, source in sources.items() if not Layer(overriding).names(name.split("."))}
-    layers = [Layer(table, study.source), *overrides]
+    source = sensors[-1].source if sensors else ""
+    first, *others = studies
+    if any(layer not in sensors and "name" in layer.table for layer in files) and "name" in first.table:
+        first = Layer({"streams": first.table["name"]} | first.table, first.source)
+    layers = [first, *others]
+    layers += [Layer(_as_study_table(layer.table), layer.source) if layer in sensors else layer for layer in files]
+    layers += [Layer(derived, source), Layer(_without_sensor_only(options))]
+    for place, layer in reversed(list(enumerate(layers))):  # so that what is void in a later layer makes nothing void before it
+        if place < len(studies) or has_study_settings(layer.table):
+            layers[place] = Layer(_without_void(layer.table, merged(layers[place + 1 :])), layer.source)
     return with_data_sheets(layers, _without_sensor_only(options).get("pixel", {}))
+
+
+def _without_void(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, Any]:
+    """A study's table without what later layers make void."""
+    table = _with_light(_with_range(_with_technologies(table, overriding), overriding), overriding)
+    if _scene(overriding).get("file") is not None:  # the parameters of a study are those of its own scene
+        table = _without_parameters(table)
+    if isinstance(sources := table.get("sources"), dict):
+        layer = Layer(overriding)
+        table = table | {"sources": {name: source for name, source in sources.items() if not layer.names(str(name).split("."))}}
+    return table
+
+
+def _scene(table: dict[str, Any]) -> dict[str, Any]:
+    """The table `scene` of a study; an empty one if it is none."""
+    scene = table.get("scene")
+    return scene if isinstance(scene, dict) else {}
+
+
+def _with_technologies(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, Any]:
+    """A study's table without the numbers and the data sheets of technologies that overriding ones leave out."""
+    names = overriding.get("technologies")
+    if not isinstance(names, list):
+        return table
+    parts = {part: values for part in ("process", "sensors") if isinstance(values := table.get(part), dict)}
+    return table | {part: {name: value for name, value in values.items() if name in names} for part, values in parts.items()}
 
 
 def _without_parameters(table: dict[str, Any]) -> dict[str, Any]:
@@ -93,7 +127,7 @@ def _with_range(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, 
 
 def _with_light(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, Any]:
     """A study's table without the luminance of its scene where an overriding one states the illuminance, or the other way round."""
-    scene, given = table.get("scene"), overriding.get("scene", {}).get("parameters", {})
+    scene, given = table.get("scene"), _scene(overriding).get("parameters", {})
     if not (isinstance(scene, dict) and isinstance(own := scene.get("parameters"), dict) and isinstance(given, dict)):
         return table
     stated = given.keys() & {ILLUMINANCE, LUMINANCE}
@@ -111,8 +145,8 @@ def with_data_sheets(layers: list[Layer], pixel_options: dict[str, Any]) -> list
     Raises PixsimError if a sheet is invalid.
     """
     study = merged(layers)
-    listed = [part["technologies"] for part in (study, study.get("quick")) if isinstance(part, dict) and "technologies" in part]
-    names = dict.fromkeys(name for part in listed if isinstance(part, list) for name in part if isinstance(name, str))
+    technologies = study.get("technologies")
+    names = dict.fromkeys(name for name in technologies if isinstance(name, str)) if isinstance(technologies, list) else {}
     known = study.get("sensors")
     sensors = {}
     for name in names:
@@ -149,10 +183,3 @@ def _as_study_table(table: dict[str, Any]) -> dict[str, Any]:
     """Convert a sensor's table to a study's: as `_without_sensor_only`, and with [scene] as scene.parameters."""
     scene, table = table.get("scene"), _without_sensor_only(table)
     return table | {"scene": {"parameters": scene}} if isinstance(scene, dict) else table
-
-
-def _without(table: dict[str, Any], removed: dict[str, Any]) -> dict[str, Any]:
-    """A nested table without the entries that `removed` has too."""
-    inner = {name for name, value in table.items() if isinstance(value, dict) and isinstance(removed.get(name), dict)}
-    left = {name: value for name, value in table.items() if name in inner or name not in removed}
-    return left | {name: _without(table[name], removed[name]) for name in inner}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cached_property
 from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
@@ -27,7 +26,6 @@ from pixsim.studies.condition import Condition
 from pixsim.studies.pitch_range import PITCH_RATIO, PitchRange
 from pixsim.studies.varied import AXIS_COUNT, paths_of
 from pixsim.viewer.develop_options import check_develop
-from pixsim.viewer.merging import merge
 from pixsim.viewer.setting import Setting
 
 StudyName = Annotated[str, Field(pattern=r"^\w[\w.\-]*$", max_length=100)]
@@ -47,9 +45,7 @@ class Study(Setting):
     name: StudyName = Field(
         description="name: letters, digits, dots and dashes; the random streams depend on it", examples=['name = "my-study"']
     )
-    streams: StudyName | None = Field(
-        None, description="name of the study whose random streams this one has; absent: its own, or that of its base"
-    )
+    streams: StudyName | None = Field(None, description="name of the study whose random streams this one has; absent: its own")
     title: str = Field("", description="title of the report")
     technologies: Annotated[tuple[str, ...], Field(min_length=1, max_length=AXIS_COUNT)] = Field(
         ("0.35um",),
@@ -94,7 +90,6 @@ class Study(Setting):
         (), description="circumstances in which the pixel is used; each has its own optimum"
     )
     sources: dict[str, str] = Field(default_factory=dict, description="sources of values: dotted name -> text")
-    quick: dict[str, Any] = Field(default_factory=dict, description="values that replace those above with --quick")
 
     @model_validator(mode="before")
     @classmethod
@@ -140,11 +135,6 @@ class Study(Setting):
                     raise ValueError(
                         f"condition '{condition.name}': {name} is varied by the axis '{other}'; give it to one of them"
                     )
-        for path in paths_of(self.quick):
-            if path[0] not in ("axis", "condition") and (
-                owner := owner_of(self, path, "axis" in self.quick, "condition" in self.quick)
-            ):
-                raise ValueError(f"quick: {'.'.join(path)} is set by {owner}; give it to one of them")
         return self
 
     @model_validator(mode="after")
@@ -200,8 +190,8 @@ class Study(Setting):
 
     @property
     def stated(self) -> dict[str, Any]:
-        """What is set, as TOML has it, without axes, conditions and [quick]."""
-        return self.model_dump(mode="json", exclude_unset=True, exclude={"axis", "condition", "quick"})
+        """What is set, as TOML has it, without axes and conditions."""
+        return self.model_dump(mode="json", exclude_unset=True, exclude={"axis", "condition"})
 
     @property
     def own_um(self) -> float | None:
@@ -225,28 +215,16 @@ class Study(Setting):
         """The pixel of a technology, without its pitch: [pixel], or a data sheet's own."""
         return self.sensors.get(technology, self.pixel)
 
-    @cached_property
-    def quickened(self) -> Study:
-        """This study with its `quick` table applied; `process` and `sensors` keep only technologies that remain."""
-        table = merge(self.model_dump(exclude={"quick"}, exclude_unset=True, mode="json"), self.quick)
-        if self.axis and "axis" not in self.quick:
-            table["axis"] = [axis.quickened.model_dump(mode="json") for axis in self.axis]
-        technologies = table.get("technologies", self.technologies)
-        for part in ("process", "sensors"):
-            table[part] = {name: values for name, values in table.get(part, {}).items() if name in technologies}
-        return Study(**table)
 
-
-def owner_of(study: Study, path: tuple[str, ...], without_axes: bool = False, without_conditions: bool = False) -> str:
+def owner_of(study: Study, path: tuple[str, ...]) -> str:
     """What sets a study's setting in every case, so that its own value is not used: an axis, or all conditions; empty for none.
 
     path : of the setting
-    without_axes, without_conditions : leave these out
     """
-    together = {own: axis.name for axis in study.axis if not (axis.alone or without_axes) for own in axis.paths}
+    together = {own: axis.name for axis in study.axis if not axis.alone for own in axis.paths}
     if (axis_name := _that_sets(path, together)) and not any(axis.alone for axis in study.axis):
         return f"the axis '{axis_name}'"
     of_conditions = [dict.fromkeys(paths_of(each.set), each.name) for each in study.condition]
-    if study.condition and not without_conditions and all(_that_sets(path, settings) for settings in of_conditions):
+    if study.condition and all(_that_sets(path, settings) for settings in of_conditions):
         return "every condition"
     return ""

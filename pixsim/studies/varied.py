@@ -22,7 +22,7 @@ NOT_NAMES = {"pitch", "technology", "pitch_um", "repeat", "key", "condition"}  #
 PITCH_TABLE = "pitch"
 # Settings of the study as a whole, with a hint.
 NOT_SETTINGS = {
-    **dict.fromkeys(("name", "streams", "title", "axis", "condition", "quick", "sources", "sensors", "paper"), ""),
+    **dict.fromkeys(("name", "streams", "title", "axis", "condition", "sources", "sensors", "paper"), ""),
     PITCH_TABLE: "pixel sizes are an axis of every study, set by [pitch]",
     "technologies": "name technologies in the study, or vary pixel.technology by an axis",
     "seed": "all cases have the same seeds, so that they differ by their settings alone",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import tomllib
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -24,8 +23,8 @@ from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.spread import sheet_uncertainty
 from pixsim.studies.pixels import pixel_of
 from pixsim.studies.sampling import study_pitches_um
-from pixsim.studies.study_file import checked_study, load_study, read_study
-from pixsim.studies.study_layers import study_layers, with_data_sheets
+from pixsim.studies.study_file import load_study
+from pixsim.studies.study_layers import with_data_sheets
 from pixsim.studies.study_settings import Study
 from pixsim.viewer.score import clip_words, clips_dark, dark_clip
 from pixsim.viewer.setting import Run
@@ -59,7 +58,7 @@ def test_data_sheet_of_a_pitch_below_that_of_its_process_raises() -> None:
 
 
 def study_of(text: str, folder: Path, study: str = "pixel-size") -> pixsim.Study:
-    return checked_study(study_layers(read_study(study), [written(folder / "sensor.toml", text)]))
+    return load_study(study, written(folder / "sensor.toml", text))
 
 
 def test_study_layers_data_sheet_becomes_the_sensor(tmp_path: Path) -> None:
@@ -92,15 +91,13 @@ def test_study_incomplete_data_sheet_raises() -> None:
         Study.model_validate(table | {"technologies": ["none", "0.35um"]})
 
 
-def test_study_command_tells_that_there_is_nothing_quicker(tmp_path: Path) -> None:
-    """And takes a data sheet, and a parameter of the scene."""
+def test_study_command_takes_a_data_sheet_and_a_parameter_of_the_scene(tmp_path: Path) -> None:
+    """And a quick study that has few sizes and sensors keeps them."""
     study_path = written(tmp_path / "own.toml", 'name = "own"\nrepeats = 2\nrefine = false\n[pitch]\ncount = 5\n')
     path = written(tmp_path / "sensor.toml", SHEET + "[scene]\nspp = 4\n[display]\ndots = 64\n")
     line = f"study {study_path} --config {path} --resolution 48 --camera.die-mm 0.5 -D luminance_cd_per_m2=50 --quick --dry-run"
-    with warnings.catch_warnings(action="always"):
-        code, out, err = command(line)
+    code, out, err = command(line)
     assert code == 0, err
-    assert "warning: the study own has no [quick] table: running it in full" in err
     assert "csf: spp = 4, emitter_scale = " in out
     assert "data sheet: 5 sizes from 1 to 16 µm" in out
 
@@ -239,8 +236,9 @@ def test_resolve_file_prefers_folder_of_config(sheet: Path, tmp_path: Path, monk
     monkeypatch.chdir(tmp_path)
     written(Path("qe.csv"), "400,0.1\n500,0.1\n")
     assert settings_of(sheet).pixel.quantum_efficiency[0] == (400.0, 0.3)
-    study = written(sheet.parent / "s.toml", 'name = "s"\n[quick.pixel]\nquantum_efficiency = "qe.csv"\n')
-    assert load_study(study).quickened.pixel.quantum_efficiency[0] == (400.0, 0.3)
+    study = written(sheet.parent / "s.toml", 'name = "s"\n')
+    written(sheet.parent / "s.quick.toml", '[pixel]\nquantum_efficiency = "qe.csv"\n')
+    assert load_study(study, quick=True).pixel.quantum_efficiency[0] == (400.0, 0.3)
 
 
 def test_quantum_efficiency_pairs_equal_file(sheet: Path) -> None:
@@ -256,34 +254,103 @@ def test_quantum_efficiency_pairs_equal_file(sheet: Path) -> None:
 def test_illuminance_of_the_user_replaces_the_luminance_of_a_study(tmp_path, stated, kept):
     """By a file's [scene] and by an option; `pixel-size` states a luminance."""
     path = written(tmp_path / "light.toml", f"[scene]\n{stated} = 500.0\n")
-    option = {"scene": {"parameters": {stated: 500.0}}}
-    for layers in (study_layers(read_study("pixel-size"), [path]), study_layers(read_study("pixel-size"), [], option)):
-        assert checked_study(layers).scene.parameters == kept
+    for study in (load_study("pixel-size", path), load_study("pixel-size", parameters={stated: 500.0})):
+        assert study.scene.parameters == kept
 
 
 def test_parameters_in_a_table_of_their_own_are_told_where_they_stand(tmp_path):
     path = written(tmp_path / "light.toml", "[scene]\nparameters = { lux = 500 }\n")
     with pytest.raises(PixsimError, match=r"scene: got a table, scene.parameters; .* State parameters as scene.lux = 500"):
-        study_layers(read_study("pixel-size"), [path])
+        load_study("pixel-size", path)
 
 
 def test_study_layers_files_and_options_override_quick(tmp_path: Path) -> None:
-    """[quick] of `modern` sets a technology, which must not replace the data sheet."""
+    """What --quick sets of `modern` is a technology, too, which must not replace the data sheet."""
     paths = [written(tmp_path / "sensor.toml", SHEET)]
-    study = checked_study(study_layers(read_study("modern"), paths)).quickened
+    study = load_study("modern", paths, quick=True)
     assert (study.technologies, study.pitch.count) == (("none",), 10)
-    quick = "[quick]\nrepeats = 2\nscene = { parameters = { resolution = 32, spp = 4 } }\ncamera = { f_number = 8 }\n"
-    study_path = written(tmp_path / "own.toml", f'name = "own"\n{quick}')
-    option = {"scene": {"parameters": {"resolution": 96}}}
-    study = checked_study(study_layers(read_study(study_path), paths, option)).quickened
+    study_path = written(tmp_path / "own.toml", 'name = "own"\n')
+    quick = "repeats = 2\nscene = { parameters = { resolution = 32, spp = 4 } }\ncamera = { f_number = 8 }\n"
+    written(tmp_path / "own.quick.toml", quick)
+    study = load_study(study_path, paths, parameters={"resolution": 96}, quick=True)
     assert study.scene.parameters == {"resolution": 96, "spp": 4}
     assert (study.camera.f_number, study.repeats) == (2.8, 2)
+
+
+def test_files_of_study_settings_are_layers(tmp_path: Path) -> None:
+    """Later files win, also over a sensor's; another name leaves the random streams of the first file."""
+    sheet, axis = written(tmp_path / "sensor.toml", SHEET), written(tmp_path / "axis.toml", AXIS_LAYER)
+    last = written(tmp_path / "last.toml", 'name = "last"\nstreams = "other"\n[camera]\nf_number = 11\n[pitch]\nmin_um = 2\n')
+    study = load_study("chen2000", [sheet, axis])
+    assert (study.name, study.stream_name, study.repeats, study.technologies) == ("lenses", "chen2000", 3, ("none",))
+    assert (study.axis[0].values, study.camera.f_number, study.seed) == ((2.8, 4), 8, 2000)
+    assert "camera.f_number" not in study.sources
+    study = load_study("chen2000", [axis, sheet, last])
+    assert (study.name, study.stream_name, study.camera.f_number) == ("last", "other", 11)
+    assert load_study("chen2000", [axis, sheet]).camera.f_number == 2.8
+    sizes = written(tmp_path / "sizes.toml", 'name = "sizes"\npitch = { values_um = [6, 7, 8, 9, 10] }\n')
+    assert load_study("chen2000", [sizes, last]).pitch.values_um is None, "a range takes the place of a list"
+    scene = written(tmp_path / "scene.toml", 'name = "s"\nscene = { file = "still_life" }\n')
+    assert load_study("pixel-size", scene).scene.parameters == {}
+
+
+AXIS_LAYER = """name = "lenses"
+repeats = 3
+camera = { f_number = 8 }
+[[axis]]
+name = "lens"
+set = "camera.f_number"
+values = [2.8, 4]
+alone = true
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "sizes", "sensors"),
+    [
+        ("", 8, 4),
+        ("repeats = 2\npitch = { count = 5 }\n", 5, 2),
+        ("repeats = 5\npitch = { values_um = [6, 7, 8, 9, 10, 11, 12, 13, 14] }\n", 9, 4),
+    ],
+)
+def test_quick_without_a_file_of_its_own_is_at_most_8_sizes_of_4_sensors(
+    text: str, sizes: int, sensors: int, tmp_path: Path
+) -> None:
+    study = load_study(written(tmp_path / "s.toml", f'name = "s"\n{text}'), quick=True)
+    assert (study_pitches_um(study, "0.35um").size, study.repeats) == (sizes, sensors)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('base = "chen2000"', r"base: got '.*s\.toml', with the .*write: pixsim study chen2000 --config .*s\.toml"),
+        ("[quick]\nrepeats = 4", r"quick: got '.*s\.toml', .*a file of overrides, .*Move them to '.*s\.quick\.toml'"),
+        (
+            '[[axis]]\nname = "a"\nset = "pixel.prnu"\nvalues = [0.1]\nquick = { values = [0.2] }',
+            r"axis\.quick: got .*Move them to '.*s\.quick\.toml', with an axis as a whole",
+        ),
+    ],
+)
+def test_earlier_spelling_of_layers_is_refused_with_the_new_one(text: str, message: str, tmp_path: Path) -> None:
+    """In a study's file, in one over it, and in a file of overrides."""
+    path, own = written(tmp_path / "s.toml", f'name = "s"\n{text}'), written(tmp_path / "own.toml", 'name = "own"\n')
+    for study, config in ((path, []), ("chen2000", [path])):
+        with pytest.raises(PixsimError, match=message):
+            load_study(study, config)
+    written(tmp_path / "own.quick.toml", text)
+    with pytest.raises(PixsimError, match=message.partition(":")[0]):
+        load_study(own, quick=True)
+
+
+def test_quick_takes_the_name_or_the_file_of_a_study(tmp_path: Path) -> None:
+    with pytest.raises(PixsimError, match="quick: got with a Study; allowed: the name or the file of a study"):
+        pixsim.study(Study(name="x"), tmp_path, quick=True)
 
 
 def test_study_layers_later_files_take_precedence(tmp_path: Path) -> None:
     paths = [written(tmp_path / "a.toml", SHEET), written(tmp_path / "b.toml", "[pixel]\nread_noise_e = 7\n")]
     with pytest.warns(UserWarning, match=r"\[pixel\] is a mixture of 2 files"):
-        pixel, other = (checked_study(study_layers(read_study("pixel-size"), files)).pixel for files in (paths, paths[::-1]))
+        pixel, other = (load_study("pixel-size", files).pixel for files in (paths, paths[::-1]))
     assert (pixel.read_noise_e, pixel.full_well_e, other.read_noise_e) == (7, 12000, 2.5)
 
 
@@ -419,7 +486,6 @@ def test_study_layers_pixels_keep_the_die_at_every_pitch(tmp_path: Path) -> None
                  "pixels = [500, 400]\n"):  # fmt: skip
         study = study_of(text, tmp_path)
         assert (study.camera.die_mm, study.camera.die_height_mm, study.camera.pixels) == (2.0, 1.6, None)
-    assert study.quickened.camera.die_height_mm == 1.6
     table = {"name": "a", "pixel": {"data_sheet_pitch_um": 4.0}, "camera": {"pixels": [500, 400]}}
     assert Study.model_validate(table).camera.die_height_mm == 1.6
     with pytest.raises(ValueError, match="needs the pitch of the sensor"):

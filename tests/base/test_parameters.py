@@ -72,14 +72,6 @@ def test_content_hash_depends_on_every_field():
     assert content_hash({"a": 1}) == "1f8c00645b7df6ce"
 
 
-def test_quickened_applies_quick_table():
-    study = Study(name="x", repeats=8, pitch={"count": 24, "max_um": 12.0}, quick={"repeats": 2, "pitch": {"count": 6}})
-    assert (study.quickened.repeats, study.quickened.pitch.count, study.quickened.pitch.max_um) == (2, 6, 12.0)
-    assert study.quickened.quickened == study.quickened
-    with pytest.raises(PixsimError, match="counts"):
-        _ = Study(name="x", quick={"pitch": {"counts": 6}}).quickened
-
-
 def test_merge_later_values_take_precedence():
     base = {"camera": {"f_number": 4.0, "die_mm": 2.7}, "seed": 1}
     over = {"camera": {"f_number": 2.0}, "pixel": {"bits": 12}}

@@ -32,7 +32,7 @@ GATE = {"name": "gate", "seed": 1, "technologies": ["none"], "pixel": GATE_SENSO
 def chen2000(technology: str, count: int, **more: Any) -> pixsim.Study:
     """The packaged study for one technology, with `count` pitches in its range."""
     study = load_study("chen2000").model_copy(update={"technologies": (technology,), "paper": False, "target_ci_um": None})
-    table = study.model_dump(mode="json", exclude={"quick"})
+    table = study.model_dump(mode="json")
     table["pitch"]["count"] = count
     return pixsim.Study.model_validate(table | more)
 

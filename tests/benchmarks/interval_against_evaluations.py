@@ -32,7 +32,7 @@ MAX_COUNT = 192  # evaluations of a study with rounds
 
 def even_pitches_um(study: Study, count: int) -> list[float]:
     """`count` pitches in the range of chen2000 at 0.35 µm."""
-    table = study.model_dump(mode="json", exclude={"quick"})
+    table = study.model_dump(mode="json")
     table["pitch"]["count"] = count
     return study_pitches_um(Study.model_validate(table), "0.35um").tolist()
 

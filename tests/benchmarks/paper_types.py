@@ -28,7 +28,7 @@ def study_of(draws: int, response: str) -> tuple[pixsim.Study, list[dict[str, An
     sample = sample_types(unknowns_of_study(base), draws, base.seed)
     unknowns = [unknown for members in sample.inputs.values() for unknown in members]
     settings = [settings_of(base, unknowns, draw) for draw in sample.draws]
-    table = base.model_dump(mode="json", exclude={"quick", "sources"}, exclude_unset=True) | SMALLER
+    table = base.model_dump(mode="json", exclude={"sources"}, exclude_unset=True) | SMALLER
     table["pitch"]["count"] = SIZES
     table["name"], table["streams"] = f"chen2000-types-{response}", base.stream_name
     values = [{"label": f"{number}", "set": each} for number, each in enumerate(settings, 1)]

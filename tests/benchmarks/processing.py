@@ -108,6 +108,8 @@ def main() -> None:
 
     def study(of: str, quick: bool = False) -> StudyResult:
         folder = options.out / f"{Path(of).stem}{'-quick' * quick}"
+        if of == "paper.toml":
+            return pixsim.study("chen2000", folder, config=options.out / of, jobs=options.jobs)
         return pixsim.study(str(options.out / of) if of in files else of, folder, quick=quick, jobs=options.jobs)
 
     lights = study(AXIS, options.quick)

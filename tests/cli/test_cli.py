@@ -56,7 +56,8 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         "sheet_curve.toml": SHEET.replace("0.6", '"qe.csv"'),
         "qe.csv": "400,30\n500,40\n",
         "study_errors.toml": 'name = "s"\nrepeats = 1\n[pitch]\ncuont = 9\n',
-        "study_quick.toml": 'name = "s"\n[quick]\nrepeats = 1\n',
+        "fewer.toml": 'name = "s"\n',
+        "fewer.quick.toml": "repeats = 1\n",
         "taken": "a file, not a folder",
     }
     for name, text in files.items():
@@ -107,7 +108,7 @@ INVALID = {
         *("study_errors.toml: repeats: got 1; allowed: greater than or equal to 2.", "Did you mean 'count'?"),
         "study_errors.toml: pitch.cuont: unknown name;",
     ],
-    "study study_quick.toml": ["study_quick.toml [quick]: repeats: got 1"],
+    "study fewer.toml --quick": ["fewer.quick.toml: repeats: got 1"],
     "study study_few.toml": ["[6.0, 7.0, 8.0]", "at least 5"],
     "study study_large.toml": ["3000", "2713.6 µm"],
     "study chen2000 --jobs 0": ["--jobs", "0", "1 or more"],

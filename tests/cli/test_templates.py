@@ -71,7 +71,6 @@ def test_template_has_every_field_and_is_valid(kind: str) -> None:
     assert dotted(uncommented(text), record) == dotted(record.model_fields, record)
     record.model_validate(tomllib.loads(text))
     everything = uncommented(text)
-    everything.pop("quick", None)
     for words in (False, True):
         record.model_validate(stated_once(everything, words))
     with pytest.raises(ValueError, match=r"saturation_capacity_e and full_well_e state the same quantity"):

@@ -47,13 +47,17 @@ UNSURE = SMALL | {"more": "[pixel.uncertainty]\nread_noise_e = { range = [1.8, 2
 COLOUR = (
     "[pixel]\ntechnology = '4t-bsi'\npitch_um = 3.0\n[pixel.colour]\nsensitivities = 'Nikon_D5100'\npeak_quantum_efficiency = 0.5\n"
 )
-FEW = """base = "pixel-size"
-name = "few"
+FEW = """name = "few"
+streams = "pixel-size"
+seed = 1
 title = "Few"
 technologies = ["{technology}"]
 repeats = {repeats}
 pitch = {{ min_um = {low}, max_um = 10.0, count = 5 }}
 scene = {{ file = "{scene}"{parameters} }}
+camera = {{ focal_length_mm = 3.86, f_number = 2.8, die_mm = 2.7136, object_distance_m = 1.0 }}
+pixel = {{ bits = 10 }}
+exposure = {{ max_integration_s = 0.033 }}
 display = {{ dots = 128 }}
 resolution = 256
 {more}
@@ -120,7 +124,7 @@ FILES = {
     "light.toml": few(more=LIGHT),
     "filters.toml": few(more=FILTERS),
     "sensors.toml": few(technology='small.toml", "4t-bsi'),
-    "scene.toml": few(scene="macbeth", parameters=", parameters = { spp = 4 }", low=4.0).replace('base = "pixel-size"\n', ""),
+    "scene.toml": few(scene="macbeth", parameters=", parameters = { spp = 4 }", low=4.0),
     "target.toml": few(technology="0.35um", low=6.0, more="target_ci_um = 0.4\nmax_repeats = 8"),
     "process.toml": few(technology="0.35um", low=6.0),
 }

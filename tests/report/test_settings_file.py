@@ -132,10 +132,12 @@ def test_run_settings_after_time_limit_do_not_depend_on_the_clock(
     assert (same / "raw.exr").read_bytes() == (desk / "out/raw.exr").read_bytes()
 
 
-def study_of(desk: Path, toml: str, **options: object) -> StudyResult:
+def study_of(desk: Path, toml: str, under: str = "", **options: object) -> StudyResult:
+    """Run a study, by its own file, or by that file over another one."""
     (desk / "own.toml").write_text(f'name = "own"\nrepeats = 2\n{toml}', encoding="utf-8")
+    files = {"plan": desk / under, "config": desk / "own.toml"} if under else {"plan": desk / "own.toml"}
     with warnings.catch_warnings(action="ignore"):
-        return pixsim.study(desk / "own.toml", desk / "out", **{"jobs": 1, "parameters": {"spp": 4}} | options)
+        return pixsim.study(out=desk / "out", **{"jobs": 1, "parameters": {"spp": 4}} | files | options)
 
 
 def assert_repeats(result: StudyResult, folder: Path, variant: str | None = None) -> None:
@@ -169,10 +171,10 @@ def test_study_settings_make_same_numbers(toml: str, options: dict[str, Any], de
     assert_repeats(result, tmp_path / "again")
 
 
-def test_settings_of_study_with_base_and_range_repeat_it(desk: Path, tmp_path: Path) -> None:
-    """Bases and ranges stand there as values, beside a condition."""
-    axis = 'base = "tiny.toml"\naxis = [{ name = "dark", range_of = "dsnu", alone = true }]\n'
-    result = study_of(desk, axis + DUSK, variant="scalar_spectral", parameters=None)
+def test_settings_of_study_with_layers_and_range_repeat_it(desk: Path, tmp_path: Path) -> None:
+    """Layers and ranges stand there as values, beside a condition."""
+    axis = 'axis = [{ name = "dark", range_of = "dsnu", alone = true }]\n'
+    result = study_of(desk, axis + DUSK, "tiny.toml", variant="scalar_spectral", parameters=None)
     sizes, (words,) = [curve.optimum.pitch_um for curve in result.curves], alone_words(result)
     assert words.startswith(f"dark alone: {min(sizes):.2f} to {max(sizes):.2f} µm")
     assert_repeats(result, tmp_path / "again", "scalar_spectral")

@@ -115,9 +115,6 @@ EACH = "allowed: a number, a name, or a table of label and set"
         ({"values": [2], "spacing": "log"}, "values and spacing both state the values"),
         ({"set": None, "values": [{"label": "b", "set": {"resolution": n}} for n in (20, 30)]}, "values: b stands there twice"),
         ({"set": "process.0.35um.prnu", "values": [0.1]}, "process.'0.35um'.prnu"),
-        ({"values": [2], "quick": {"count": 2}}, "quick: values and count both state the values"),
-        ({"values": [2], "quick": {"cuont": 2}}, "quick.cuont: unknown name; .* Did you mean 'count'"),
-        ({"values": [2], "quick": {"set": "pixel.prnu"}}, "quick.set: unknown name"),
     ],
 )
 def test_axis_invalid_values_raise(axis: dict[str, Any], message: str) -> None:
@@ -143,8 +140,6 @@ def hot(**pixel: Any) -> dict[str, Any]:
         ({"condition": [DAY, DAY]}, "'day' stands there twice"),
         ({"axis": [PRNU], "condition": [hot(prnu=0.0)]}, "pixel.prnu is varied by the axis 'PRNU'"),
         ({"axis": [PRNU], "condition": [hot(prnu_percent=1.0)]}, "pixel.prnu_percent is varied by"),
-        ({"axis": [LENS], "quick": {"camera": {"f_number": 3.0}}}, "quick: camera.f_number is set by the axis 'lens'"),
-        ({"condition": [DAY], "quick": DAY["set"]}, "quick: .* is set by every condition"),
         ({"condition": [hot(technology="0.5um")]}, "cannot be changed by a condition; .* by an axis"),
         ({"technologies": ["0.35um"], "axis": [axis_of("t", "pixel.technology", "0.5um")]}, "leave technologies out"),
     ],
@@ -154,17 +149,10 @@ def test_study_contradictory_axes_raise(more: dict[str, object], message: str) -
         tiny(**more)
 
 
-def test_study_quick_may_set_what_not_all_cases_do() -> None:
-    """The base of an axis that is moved alone, or a setting of one of two conditions."""
-    assert tiny(axis=[PRNU], quick={"pixel": {"prnu": 0.02}}).quickened.pixel.prnu == 0.02
-    tiny(condition=[DAY, condition_of("n", {"camera": {"f_number": 2.0}})], quick={"camera": {"f_number": 3.0}})
-    tiny(axis=[LENS], quick={"axis": [labelled("other", b={"pixel": {"prnu": 0.0}})], "camera": {"f_number": 3.0}})
-
-
 @pytest.mark.parametrize(
     "name",
     [
-        *("axis", "condition", "name", "streams", "title", "quick", "sources", "sensors", "paper", "technologies", "pitch.min_um"),
+        *("axis", "condition", "name", "streams", "title", "sources", "sensors", "paper", "technologies", "pitch.min_um"),
         *("seed", "repeats", "target_ci_um", "max_repeats", "max_evaluations", "iso_delta_e", "detail", "tolerance_delta_e"),
         "max_seconds",
     ],
@@ -178,11 +166,10 @@ def test_setting_of_the_whole_study_cannot_be_varied(name: str) -> None:
 
 
 def test_study_axes_survive_a_round_trip() -> None:
-    integration = {"name": "l", "set": "exposure.max_integration_s", "from": 1, "to": 9, "count": 3, "quick": {"count": 2}}
+    integration = {"name": "l", "set": "exposure.max_integration_s", "from": 1, "to": 9, "count": 3}
     study = tiny(axis=[LENS, PRNU, integration], condition=[DAY])
     again = Study.model_validate(json.loads(json.dumps(study.model_dump(mode="json", exclude_unset=True))))
     assert [case.columns for case in cases_of(again)] == [case.columns for case in cases_of(study)]
-    assert [point.value for point in study.quickened.axis[2].points] == [1.0, 9.0]
 
 
 # --- cases ------------------------------------------------------------------------------------------------------------
@@ -465,7 +452,7 @@ def test_load_study_files_of_axes_and_conditions_lie_next_to_it(tmp_path: Path) 
 
 
 def test_axes_of_texts() -> None:
-    known = [{"name": "light", "set": LIGHT, "from": 1.0, "to": 10.0, "count": 4, "quick": {"count": 2}}]
+    known = [{"name": "light", "set": LIGHT, "from": 1.0, "to": 10.0, "count": 4}]
     actual = axes_of(["light=1,2.5", "camera.f_number=2:8:3:log", "a.b+c.d=x,1e3"], known)
     assert actual == [
         {"name": "light", "set": LIGHT, "values": [1, 2.5]},

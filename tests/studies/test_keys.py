@@ -53,7 +53,6 @@ CHANGES: dict[str, tuple[Any, str]] = {
     "refine": (False, ""),
     "axis": (({"name": "f", "set": "camera.f_number", "values": (4.0, 8.0)},), ""),
     "condition": (({"name": "day", "set": {"camera": {"f_number": 4.0}}},), ""),
-    "quick": ({"repeats": 2}, ""),
     "title": ("another", ""),
     "iso_delta_e": (2.0, ""),
     "detail": ((0.25, 0.75), ""),

@@ -201,10 +201,11 @@ def quiet_command(line: str) -> str:
 
 def test_study_range_option_replaces_list_of_sizes(tmp_path: Path) -> None:
     path = tmp_path / "own.toml"
-    path.write_text('name = "own"\n[pitch]\nvalues_um = [6, 7, 8, 9, 10]\n[quick.pitch]\nvalues_um = [6, 8, 9, 10, 11]\n')
-    study = load_study(path, pitch={"min_um": 6.0, "count": 7})
-    for chosen in (study, study.quickened):
-        assert study_pitches_um(chosen, "0.35um").size == 7
+    path.write_text('name = "own"\n[pitch]\nvalues_um = [6, 7, 8, 9, 10]\n')
+    (tmp_path / "own.quick.toml").write_text("[pitch]\nvalues_um = [6, 8, 9, 10, 11]\n")
+    for quick in (False, True):
+        study = load_study(path, pitch={"min_um": 6.0, "count": 7}, quick=quick)
+        assert study_pitches_um(study, "0.35um").size == 7
     assert load_study(path, pitch={"values_um": "6,7 8, 9,12"}).pitch.values_um == (6, 7, 8, 9, 12)
 
 
@@ -360,7 +361,7 @@ def test_dry_run_renders_and_writes_nothing(line: str, unrendered: None, tmp_pat
 
 def test_dry_run_counts_what_the_study_does(tmp_path: Path) -> None:
     small = {"resolution": 48, "window_mm": 0.2, "pitch": {"count": 5}, "refine": False}
-    study = load_study("pixel-size", sheet_toml(tmp_path), **small).quickened
+    study = load_study("pixel-size", sheet_toml(tmp_path), quick=True, **small)
     outline, done = study_outline(prepare(study)), pixsim.study(study, tmp_path / "out", jobs=1)
     (sensor,) = outline["sensors"]
     assert done.curves[0].pitch_um.tolist() == sensor["pitch_um"]

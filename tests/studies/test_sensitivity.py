@@ -1,4 +1,4 @@
-"""Sensitivity analysis: a study with a base whose axes are moved alone, and what they do to the paper's statements."""
+"""Sensitivity analysis: a study with another over it, whose axes are moved alone, and what they do to the paper's statements."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from helpers.tiny import COARSE, PITCHES_UM, rows, tiny, tiny_toml
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.base.schema import SCHEMA
-from pixsim.cli.templates import json_schema
 from pixsim.report.axes import axes_summary
 from pixsim.sensor.technology import load_technology
 from pixsim.studies.axis import Axis
@@ -45,7 +44,6 @@ BASE_TOML = tiny_toml(
 ).replace('"spp" = 4, ', "")
 SENSITIVITY_TOML = """
 name = "tiny-sensitivity"
-base = "tiny.toml"
 repeats = 2
 pitch = { values_um = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0] }
 [[axis]]
@@ -85,7 +83,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 @pytest.fixture(scope="module")
 def done(desk: Path) -> tuple[StudyResult, Path]:
     with pytest.warns(UserWarning, match="the axis PRNU changes nothing"):
-        return pixsim.study("sensitivity.toml", desk / "one", jobs=1), desk / "one"
+        return pixsim.study("tiny.toml", desk / "one", config="sensitivity.toml", jobs=1), desk / "one"
 
 
 def case(result: StudyResult, axis: str, value: float | str) -> StudyResult:
@@ -93,47 +91,31 @@ def case(result: StudyResult, axis: str, value: float | str) -> StudyResult:
     return part
 
 
-# --- a study with a base ----------------------------------------------------------------------------------------------
+# --- a study over another ---------------------------------------------------------------------------------------------
 
 
-def test_study_with_base_has_its_values_and_streams(desk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A base is found next to the file that names it; the streams are those of the first."""
-    base, own = load_study("tiny.toml"), load_study("sensitivity.toml")
+def test_study_over_another_has_its_values_and_streams(desk: Path) -> None:
+    base, own = load_study("tiny.toml"), load_study("tiny.toml", "sensitivity.toml")
     assert (own.name, own.stream_name, base.stream_name) == ("tiny-sensitivity", "tiny", "tiny")
     assert (own.repeats, base.repeats) == (2, 4)
     same = base.model_copy(update={name: getattr(own, name) for name in ("name", "streams", "repeats", "pitch", "axis")})
     assert same == own
-    (desk / "third.toml").write_text('name = "third"\nbase = "sensitivity.toml"\n', encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    third = load_study(desk / "third.toml")
-    assert (third.name, third.stream_name, third.repeats) == ("third", "tiny", 2)
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('name = "a"\nbase = "a.toml"', "base: got '.*a.toml', which is based on itself"),
-        ('name = "a"\nbase = 3', "base: got 3; allowed: the name of a packaged study"),
-        ('name = "a"\nbase = "chen200"', "Did you mean 'chen2000'"),
-        ('base = "chen2000"', "name: got none in '.*a.toml'; allowed: a name of its own"),
         (
-            'name = "a"\nbase = "chen2000"\n[[vary]]\nname = "bits"\nsettings = []',
+            'name = "a"\n[[vary]]\nname = "bits"\nsettings = []',
             r'vary: got .*an earlier version; allowed: \[\[axis\]\] with alone = true.*name = "bits", alone = true',
         ),
-        (
-            'name = "a"\nbase = "chen2000"\n[ranges]\ndark = "dsnu"',
-            r'ranges: got .*earlier version.*name = "dark", range_of = "dsnu", alone = true',
-        ),
+        ('name = "a"\n[ranges]\ndark = "dsnu"', r'ranges: got .*earlier version.*name = "dark", range_of = "dsnu", alone = true'),
     ],
 )
-def test_study_bad_base_or_old_spelling_raises(text: str, message: str, tmp_path: Path) -> None:
+def test_study_old_spelling_raises(text: str, message: str, tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text(text, encoding="utf-8")
     with pytest.raises(PixsimError, match=message):
         load_study(tmp_path / "a.toml")
-
-
-def test_schema_of_study_has_base() -> None:
-    assert json_schema("study")["properties"]["base"]["type"] == "string"
 
 
 # --- numbers of the technologies over their ranges --------------------------------------------------------------------
@@ -141,7 +123,7 @@ def test_schema_of_study_has_base() -> None:
 
 def test_range_of_covers_both_ends_in_all_and_alone(desk: Path) -> None:
     """The measured 0.37 of 0.35 µm has no range, so that the peak moves in one technology only; its upper end is 0.37."""
-    study = with_range_ends(load_study("sensitivity.toml"))
+    study = with_range_ends(load_study("tiny.toml", "sensitivity.toml"))
     labels = {axis.name: [point.label for point in axis.points] for axis in study.axis if axis.name in ("dark current", "peak")}
     assert labels == {
         "dark current": ["all low", "0.35um 0.333", "0.25um 1", "all high", "0.35um 3", "0.25um 9"],
@@ -212,7 +194,7 @@ def test_unchanged_technology_is_computed_once(done: tuple[StudyResult, Path]) -
     np.testing.assert_array_equal(alone.curves[0].delta_e, result.parts[0].curves[0].delta_e)
     assert (alone.curves[1].delta_e != result.parts[0].curves[1].delta_e).any()
     with pytest.warns(UserWarning, match="the axis PRNU changes nothing"):
-        again = pixsim.study("sensitivity.toml", folder, jobs=1)
+        again = pixsim.study("tiny.toml", folder, config="sensitivity.toml", jobs=1)
     assert again.counts is not None
     assert again.counts.evaluations_made == 0
     assert again.as_dict() == result.as_dict()
@@ -232,7 +214,7 @@ def test_statements_of_a_case_are_those_of_the_study_alone(value: str, done: tup
 
 @pytest.mark.slow
 def test_sensitivity_command_two_workers_same_result(done: tuple[StudyResult, Path], desk: Path) -> None:
-    code, message, _ = command("study sensitivity.toml --out command --jobs 2")
+    code, message, _ = command("study tiny.toml --config sensitivity.toml --out command --jobs 2")
     assert code == 0
     out, lines = desk / "command", message.splitlines()
     assert lines[0].startswith("0.35um: ")
@@ -332,9 +314,9 @@ def test_packaged_cases_are_valid_and_distinct(shipped: list[Case[pixsim.Study]]
         assert case.settings.technologies == ("0.5um", "0.35um", "0.25um", "0.18um")
     assert len({case.folder for case in moved}) == len(moved), "labels read alike"
     assert len({case.settings.content_hash for case in shipped}) == len(shipped), "two cases are the same"
-    own, chen2000 = (study.model_dump(exclude={"quick"}) for study in (base.settings, load_study("chen2000")))
+    own, chen2000 = (study.model_dump() for study in (base.settings, load_study("chen2000")))
     assert own | {"name": "chen2000", "streams": None, "title": chen2000["title"]} == chen2000
-    assert load_study("chen2000-sensitivity").quickened.technologies == ("0.35um",)
+    assert load_study("chen2000-sensitivity", quick=True).technologies == ("0.35um",)
 
 
 # Assumptions that the paper does not state, with their plausible range; None: any value other than the base's.
@@ -376,7 +358,7 @@ def test_packaged_ranges_cover_every_process() -> None:
 def test_packaged_modern_study_has_pinned_photodiodes() -> None:
     study = load_study("modern")
     assert len(study.technologies) >= 2
-    for item in (study, study.quickened):
+    for item in (study, load_study("modern", quick=True)):
         check_pitches(item)
         assert not item.paper
     for name in study.technologies:

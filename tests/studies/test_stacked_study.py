@@ -163,7 +163,7 @@ def test_microlens_makes_smaller_pixels_best_in_dim_light(tmp_path: Path) -> Non
 
     Under the lens a pixel collects its whole area, bare only its fill factor, a third to a half; light has less to gain from size.
     """
-    table = load_study("modern").model_dump(mode="json", exclude_unset=True, exclude={"quick", "target_ci_um", "max_repeats"})
+    table = load_study("modern").model_dump(mode="json", exclude_unset=True, exclude={"target_ci_um", "max_repeats"})
     pitch = {"min_fill_factor": 0.3, "max_um": 6.0, "count": 9}
     own = {"name": "mini", "technologies": ["4t-fsi"], "repeats": 2, "resolution": 512, "pitch": pitch}
     table |= own | {"camera": table["camera"] | {"die_mm": 0.5}, "display": table["display"] | {"dots": 256}}

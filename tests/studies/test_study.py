@@ -2,7 +2,6 @@
 
 import html
 import json
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -165,15 +164,16 @@ def test_study_process_numbers_equal_file(tmp_path: Path) -> None:
 
 
 def test_load_study_resolves_files_next_to_it(tmp_path: Path) -> None:
-    """And `[quick]`, which leaves one out, leaves its numbers out too."""
+    """And overrides that leave one out leave its numbers out too."""
     (tmp_path / "mine.toml").write_bytes(packaged("data/technologies")["0.35um"].read_bytes())
     own = 'name = "own"\ntechnologies = ["mine.toml", "0.25um"]\nprocess."mine.toml".dsnu = 0.1\n'
-    text = own + '[quick]\ntechnologies = ["0.25um"]\n'
-    (tmp_path / "study.toml").write_text(text, encoding="utf-8")
+    (tmp_path / "study.toml").write_text(own, encoding="utf-8")
+    (tmp_path / "study.quick.toml").write_text('technologies = ["0.25um"]\n', encoding="utf-8")
     study = load_study(tmp_path / "study.toml")
     assert technology_of(study, str(tmp_path / "mine.toml")).dsnu == 0.1
     assert technology_of(study, "0.25um").dsnu == 0.3
-    assert (study.quickened.technologies, study.quickened.process) == (("0.25um",), {})
+    quick = load_study(tmp_path / "study.toml", quick=True)
+    assert (quick.technologies, quick.process) == (("0.25um",), {})
 
 
 # --- Fields of the pixel as options ------------------------------------------------------------------------------------
@@ -181,11 +181,12 @@ def test_load_study_resolves_files_next_to_it(tmp_path: Path) -> None:
 
 def test_load_study_pixel_options_take_precedence(tmp_path: Path) -> None:
     """And are as good as the same numbers in a file."""
-    table = '[sources]\n"pixel.bits" = "assumed"\n"pixel.prnu" = "stated"\n[quick]\npixel = { bits = 9 }\n'
+    table = '[sources]\n"pixel.bits" = "assumed"\n"pixel.prnu" = "stated"\n'
     text = f'name = "own"\n[pixel]\nbits = 8\n{table}'
     (tmp_path / "own.toml").write_text(text, encoding="utf-8")
+    (tmp_path / "own.quick.toml").write_text("pixel = { bits = 9 }\n", encoding="utf-8")
     (tmp_path / "sensor.toml").write_text("[pixel]\nbits = 11\nprnu = 0.02\n", encoding="utf-8")
-    study = load_study(tmp_path / "own.toml", tmp_path / "sensor.toml", pixel={"bits": "12"}).quickened
+    study = load_study(tmp_path / "own.toml", tmp_path / "sensor.toml", pixel={"bits": "12"}, quick=True)
     assert (study.pixel.bits, study.pixel.prnu, study.sources) == (12, 0.02, {})
     plain, scaled = tmp_path / "plain.toml", tmp_path / "scaled.toml"
     plain.write_text(TINY_TOML + "pixel = { response = 'literal', bits = 8 }\n", encoding="utf-8")
@@ -292,21 +293,21 @@ def test_stream_depends_on_key_only() -> None:
 
 
 @pytest.mark.parametrize(
-    ("over", "quick", "count", "shared"),
+    ("over", "count", "shared"),
     [
         # Some of the pitches, others among them, backwards, up to the same largest one.
-        ({"pitch": {"values_um": [PITCHES_UM[-1], 11.0, 9.9, 8.5, 7.7, 6.0]}}, False, 18, 4 * 3),
+        ({"pitch": {"values_um": [PITCHES_UM[-1], 11.0, 9.9, 8.5, 7.7, 6.0]}}, 18, 4 * 3),
         # Neither keys nor random streams of 0.35 µm depend on what 0.25 µm has.
-        ({"technologies": ("0.35um", "0.25um"), "process": {"0.25um": {"dsnu": 0.6}}}, False, 36, 6 * 3),
-        # The table changes how much is done, not what.
-        ({"quick": {"repeats": 2, "pitch": {"values_um": FIVE_UM}}}, True, 10, 5 * 2),
+        ({"technologies": ("0.35um", "0.25um"), "process": {"0.25um": {"dsnu": 0.6}}}, 36, 6 * 3),
+        # Fewer sizes and sensors change how much is done, not what.
+        ({"repeats": 2, "pitch": {"values_um": FIVE_UM}}, 10, 5 * 2),
     ],
-    ids=["other pitches", "another process", "quick"],
+    ids=["other pitches", "another process", "fewer"],
 )
 def test_study_row_depends_on_its_sensor_only(
-    over: dict[str, Any], quick: bool, count: int, shared: int, done: tuple[StudyResult, Path], tmp_path: Path
+    over: dict[str, Any], count: int, shared: int, done: tuple[StudyResult, Path], tmp_path: Path
 ) -> None:
-    pixsim.study(tiny(**over), tmp_path, quick=quick, jobs=1)
+    pixsim.study(tiny(**over), tmp_path, jobs=1)
     before, now = rows(done[1]), rows(tmp_path)
     assert (len(now), sum(row in before for row in now)) == (count, shared)
 
@@ -347,15 +348,7 @@ def test_study_minimum_at_end_is_no_optimum(tmp_path: Path) -> None:
         assert (best.inside, best.pitch_um) == (False, pytest.approx(end_um))
 
 
-def test_quick_says_what_it_found() -> None:
-    """A study without the table, and one whose table sets only what options set too; what they leave of it holds."""
-    with pytest.warns(UserWarning, match=r"^the study tiny has no \[quick\] table: running it in full"):
-        prepare(tiny_study(), quick=True)
-    replaced = load_study("chen2000", pixel={"technology": "0.25um"}, repeats=6)
-    with pytest.warns(UserWarning, match=r"^the \[quick\] table of the study chen2000 changes nothing") as caught:
-        prepare(replaced, quick=True)
-    assert len(caught) == 1
-    with warnings.catch_warnings(action="error"):
-        assert prepare(load_study("chen2000"), quick=True).study.technologies == ("0.35um",)
-        in_part = prepare(load_study("chen2000", pixel={"technology": "0.25um"}), quick=True).study
-        assert (in_part.technologies, in_part.repeats) == (("0.25um",), load_study("chen2000").quick["repeats"])
+def test_quick_sets_what_options_leave() -> None:
+    assert load_study("chen2000", quick=True).technologies == ("0.35um",)
+    study = load_study("chen2000", pixel={"technology": "0.25um"}, quick=True)
+    assert (study.technologies, study.repeats) == (("0.25um",), 4)
