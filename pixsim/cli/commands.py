@@ -370,7 +370,7 @@ def study(
     import_less()
     from pixsim.report.axes import axes_document, axes_files, study_report
     from pixsim.report.kept import digest_of_report, keep_or_write
-    from pixsim.report.outline import long_words, outline_document, study_outline
+    from pixsim.report.outline import outline_document, study_outline
     from pixsim.report.study import report_files, study_document
     from pixsim.report.uncertainty import uncertainty_files
     from pixsim.show.render import write
@@ -405,9 +405,8 @@ def study(
         asked, types = asked_of(uncertainty, sobol, smaller_than or (), spreads), 0
         if asked is not None:
             types, evaluations = check_types(job.study, [case.settings for case in job.cases], asked, yes or dry_run)
-        outline = study_outline(job, jobs, types)
         if dry_run:
-            answer(outline_document("study", outline, folder), json)
+            answer(outline_document("study", study_outline(job, jobs, types), folder), json)
             return
         check_number(len(job.cases), job.evaluations, yes)
         names = (axes_files if job.study.has_cases else report_files)(job.study)
@@ -415,8 +414,6 @@ def study(
             common.verbosity.note(f"{types} sensor types, at most {evaluations} evaluations")
             names = names | uncertainty_files()
         check_replaceable(folder, names)
-        if words := long_words(outline):
-            common.verbosity.note(words)
         with stages(seconds) as stage:
             with said_what_is_kept(folder):
                 result = run_prepared(job, folder, jobs=jobs, scheduler=scheduler, progress=stage, agreed=yes, asked=asked)

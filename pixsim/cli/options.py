@@ -226,9 +226,7 @@ Full = Annotated[bool, Parameter(help="Render without simplifications.")]
 SensorId = Annotated[str | None, Parameter(help="Id of the sensor, if the scene has several.", metavar="ID")]
 Seed = Annotated[str | None, field_option(Run, "seed")]
 Json = Annotated[bool, Parameter(help="Print the result as JSON.")]
-DryRun = Annotated[
-    bool, Parameter(help="Show what would be done, with an estimate of time and memory; nothing is rendered or written.")
-]
+DryRun = Annotated[bool, Parameter(help="Show what would be made, with memory and a rough time; nothing is rendered or written.")]
 FigureFiles = Annotated[
     Literal["svg", "pdf"], Parameter(help="Files of the figures: svg, or pdf, which writes a PDF beside each SVG.")
 ]

@@ -881,19 +881,6 @@ def field_blur(psfs: RadialPsfs, shape: tuple[int, int], pitch_um: float, spacin
     return FieldBlur(wide, pitch_um, spacing, tile_psfs(psfs, pitch_um, spacing, cells, tiles_alike(wide, spacing)))
 
 
-def blur_work(shape: tuple[int, int], spacing: int, cells: int) -> tuple[int, int, int]:
-    """Return what a blur by `field_blur` takes: cells of all windows, PSFs of tiles, and points along the radius.
-
-    shape : (H, W) of the picture
-
-    cells : of a PSF along a side
-    """
-    counts, sides = zip(*(tiles_along(n + cells - 1, spacing) for n in shape), strict=True)
-    tiles = math.prod(2 * count + 1 for count in counts)
-    points = RADIAL_STEPS * math.hypot(*counts)
-    return tiles * math.prod(side + cells - 1 for side in sides), math.prod(count + 1 for count in counts), round(points)
-
-
 def blur_from_arrays(
     stored: dict[str, NDArray[Any]], shape: tuple[int, int], pitch_um: float, spacing: int, cells: int
 ) -> FieldBlur | None:

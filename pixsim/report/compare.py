@@ -47,7 +47,7 @@ from pixsim.studies.averages import Averaged, Compared
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.comparison_cases import ComparedCases
 from pixsim.studies.condition import Condition
-from pixsim.studies.cost import PAGE_S, START_S, Cost, frame_cost, known_film, render_cost
+from pixsim.studies.cost import PAGE_S, START_S, Cost, frame_cost, render_bytes, render_seconds
 from pixsim.studies.light_level import LightLevel
 from pixsim.studies.lineup import OF_A_SENSOR, SHARED, ComparisonJob, Lineup, pixels_of
 from pixsim.studies.pair_uncertainty import PairUncertainty
@@ -75,7 +75,13 @@ def comparison_outline(prepared: ComparisonJob) -> dict[str, Any]:
     lineups = dict.fromkeys(each for group in (prepared.lineups, *prepared.pairs) for each in group)
     repeats = prepared.repeats + (0 if prepared.types is None else FEW_SENSORS * len(prepared.types.sample.quantiles))
     costs = [_cost_of(each, repeats) for each in lineups]
-    cost = Cost(PAGE_S + START_S + sum(each.seconds for each in costs), max(each.memory_bytes for each in costs), 1)
+    cost = Cost(
+        renders=sum(each.renders for each in costs),
+        evaluations=sum(each.evaluations for each in costs),
+        seconds=START_S + PAGE_S + sum(each.seconds for each in costs),
+        memory_bytes=max(each.memory_bytes for each in costs),
+        jobs=1,
+    )
     scene = first.scene.with_resolution(lineup.film_width)
     more = prepared.of_study
     if prepared.types is not None:
@@ -105,11 +111,11 @@ def _cost_of(lineup: Lineup, repeats: int) -> Cost:
     seconds, largest = 0.0, 0.0
     for sensor in lineup.cases:
         demand = lineup.demand(sensor, lineup.film_width)
-        render = render_cost(demand.plan, sensor.camera, *known_film(demand), processors().usable, begun=True)
         frame = frame_cost(sensor.camera, sensor.settings.pixel.pitch_um, *lineup.displays.values())
-        seconds += render.seconds + repeats * frame.seconds / processors().usable
-        largest = max(largest, render.memory_bytes + frame.memory_bytes)
-    return Cost(seconds, largest, 1)
+        cores = processors().usable
+        seconds += render_seconds(demand.plan, demand.shape, cores) + repeats * frame.seconds / cores
+        largest = max(largest, render_bytes(demand.plan, demand.shape) + frame.memory_bytes)
+    return Cost(len(lineup.cases), repeats * len(lineup.cases), seconds, largest, 1)
 
 
 def comparison_outline_document(places: Sequence[tuple[ComparisonJob, Path]], has_cases: bool) -> Document:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.sensor.labels import label_of
 from pixsim.show.document import Block, Document, Table
-from pixsim.show.sentences import duration, rounded
-from pixsim.studies.cost import LONG_S, MOST_EVALUATIONS, Cost
+from pixsim.show.sentences import rounded
+from pixsim.studies.cost import MOST_EVALUATIONS, Cost
 from pixsim.studies.extent import columns_on
 from pixsim.studies.outline import planned_run, planned_study
 from pixsim.studies.oversampling import TOLERATED_SHARE
@@ -123,18 +123,8 @@ def outline_document(command: str, outline: dict[str, Any], out: Path) -> Docume
     rows.append(("limits", ", ".join(f"{name} = {value:g}" for name, value in limits.items())))
     rows.append(("output", f"{out}: nothing is written now"))
     rows.append(("cost", str(Cost(**outline["estimate"]))))
-    terminal = [*(f"{name:<8} {text}" for name, text in rows), *filter(None, [long_words(outline)])]
+    terminal = [f"{name:<8} {text}" for name, text in rows]
     return Document(command, "dry run", outline["scene"], outline, terminal)
-
-
-def long_words(outline: dict[str, Any]) -> str:
-    """Return how long a long study takes, with the window that takes less than a minute; empty for a short one."""
-    seconds = outline["estimate"]["seconds"]
-    if "study" not in outline or seconds <= LONG_S:
-        return ""
-    window = outline.get("window_within_a_minute_mm")
-    hint = f"; --window {window:g} takes less than a minute" if window else ""
-    return f"the study takes about {duration(seconds)}{hint}"
 
 
 def plan_document(plan: Plan, scene: str, assumption: str) -> Document:

@@ -13,15 +13,12 @@ import numpy as np
 from pixsim.base import cache
 from pixsim.base.records import content_hash
 from pixsim.optics.camera import Camera
-from pixsim.scene.plan import Plan
-from pixsim.scene.scene import Scene
 from pixsim.sensor.integration import pixels_on
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.studies.rows import Row
 from pixsim.studies.sampling import first_sampling
 from pixsim.studies.study_settings import Study
 from pixsim.viewer.raw_metrics import has_target
-from pixsim.viewer.setting import Effort, Setting
 
 if TYPE_CHECKING:
     from pixsim.studies.series import Series
@@ -49,9 +46,6 @@ OF_LIGHT = (
     ),
 )
 OF_FRAME = ("exposure", "motion", "correction")  # beside the light, the pixel and the random streams
-OF_SCORE = ("display", "develop", "metrics", "metric")
-# What is said of frames, on which none depends.
-OF_WORDS = ("title", "iso_delta_e", "detail", "paper", "sources", "noise_budget")
 
 
 def light_hash(study: Study) -> str:
@@ -146,49 +140,3 @@ def frames_fit_in_cache(study: Study, camera: Camera) -> bool:
 def block_key(frames_key: str, block: int) -> str:
     """Return the cache key of the frames of one task, which share a file."""
     return frames_key and f"{frames_key}-{block}"
-
-
-EVALUATED = "evaluated"  # kind of the cache's entries that tell of a study
-TELLING = 32  # cases by which a study is known
-
-
-def evaluated_before(cases: Sequence[Study]) -> bool:
-    """Whether the cache has the frames of all cases of a study, for an estimate of its time."""
-    return cache.value_of(EVALUATED, _evaluated_key(cases), lambda value: bool(value["frames"])) or False
-
-
-def remember_evaluated(cases: Sequence[Study]) -> None:
-    """Note in the cache, once for a study, that it has the frames of all cases."""
-    cache.store_value(EVALUATED, _evaluated_key(cases), {"frames": True})
-
-
-def _evaluated_key(cases: Sequence[Study]) -> str:
-    """Return the key of a study whose frames the cache may have; a frame does not depend on the display.
-
-    The film is left out, which the render chooses. Of many cases some tell which study they are of.
-    """
-    some, left_out = cases[:: math.ceil(len(cases) / TELLING)], {*OF_SCORE, *OF_WORDS, "resolution"}
-    of_frames = [study.model_dump(mode="json", exclude=left_out) for study in some]
-    return content_hash([len(cases), of_frames, cache.version_fingerprint(*COMPUTED_BY)])
-
-
-RENDERED = "rendered"  # kind of the cache's entries that tell of a render
-
-
-def rendered_across(scene: Scene, camera: Camera, plan: Plan, settings: Setting) -> int | None:
-    """Return the samples across the film that such a render ended with, if the cache has it; for an estimate of its time.
-
-    plan : the first one of the render
-    """
-    return cache.value_of(RENDERED, _render_key(scene, camera, plan, settings), lambda value: int(value["across"]))
-
-
-def remember_rendered(scene: Scene, camera: Camera, plan: Plan, settings: Setting, across: int) -> None:
-    """Note in the cache that it has a render, on a film of so many samples across."""
-    cache.store_value(RENDERED, _render_key(scene, camera, plan, settings), {"across": across})
-
-
-def _render_key(scene: Scene, camera: Camera, plan: Plan, settings: Setting) -> str:
-    limits = settings.model_dump(mode="json", include={"seed", *Effort.model_fields})
-    of_scene = scene.content_hash, scene.choice.variant, camera.model_dump(mode="json")
-    return content_hash([*of_scene, plan.as_dict(), limits, cache.version_fingerprint(*COMPUTED_BY)])

@@ -4,28 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from pixsim.base.machine import processors
 from pixsim.optics.camera import Camera
 from pixsim.sensor.integration import pixels_on
-from pixsim.studies.cost import (
-    COLOUR_S,
-    LONG_S,
-    RUN_PAGE_S,
-    STACK_S,
-    START_S,
-    Cost,
-    Known,
-    cases_cost,
-    frame_cost,
-    known_film,
-    render_cost,
-    window_within,
-)
+from pixsim.studies.cost import frame_cost, run_cost, study_cost
 from pixsim.studies.film_error import FilmSampling, film_error
-from pixsim.studies.keys import evaluated_before, light_hash
+from pixsim.studies.keys import light_hash
 from pixsim.studies.lights import demand_of
 from pixsim.studies.run import NOISE_SENSORS
 from pixsim.studies.sampling import study_pitches_um
@@ -43,17 +30,14 @@ def planned_run(prepared: RunJob) -> dict[str, Any]:
     pitch_um, picture = settings.pixel.pitch_um, prepared.cases[0].picture
     planned: dict[str, Any]
     if picture is not None:
-        cost = Cost(START_S, 4.0 * picture.wavelength_nm.size * math.prod(picture.shape), 1)
+        plan, shape = None, (picture.shape[0], picture.shape[1])
         planned = {"film": {"samples": list(picture.shape), "pitch_um": picture.pitch_um}}
     else:
-        planned, (shape, rendered) = planned_light(prepared.demand), known_film(prepared.demand)
-        cost = render_cost(prepared.demand.plan, camera, shape, rendered, processors().usable)
-        if not rendered:
-            more_s = COLOUR_S * (settings.pixel.colour is not None) + STACK_S * (settings.pixel.stack is not None)
-            cost = replace(cost, seconds=cost.seconds + more_s)
+        plan, shape = prepared.demand.plan, prepared.demand.shape
+        planned = planned_light(prepared.demand)
     frame = frame_cost(camera, pitch_um, settings.display)
     evaluations = repeats + frames + (NOISE_SENSORS - 1) * (repeats > 1)
-    cost = Cost(cost.seconds + RUN_PAGE_S + evaluations * frame.seconds, cost.memory_bytes + frame.memory_bytes, 1)
+    cost = run_cost(plan, shape, processors().usable, evaluations, frame)
     sensors = planned_sensors(settings.pixel.technology, [pitch_um], repeats, camera)
     return planned | ({"frames": frames} if frames > 1 else {}) | {"sensors": [sensors], "estimate": asdict(cost)}
 
@@ -72,11 +56,9 @@ def planned_study(job: StudyJob, jobs: int | None = None, types: int = 0) -> dic
     """
     study, demand = job.settings, demand_of(job.cases[0])
     lights = len({light_hash(case.settings) for case in job.cases})
-    film_shape, rendered = known_film(demand)
     of_cases = [(case.settings, case.camera) for case in job.cases]
-    known = Known(rendered, evaluated_before([case for case, _ in of_cases]))
     drawn = types * len(drawn_metrics(study))  # each metric has pixel sizes of its own
-    cost = cases_cost(of_cases, lights, demand.plan, film_shape, jobs, drawn, known)
+    cost = study_cost(of_cases, lights, demand.plan, demand.shape, jobs, drawn)
     sizes = {name: study_pitches_um(study, name).tolist() for name in study.technologies}
     sensors = [planned_sensors(name, pitches_um, study.repeats, job.camera) for name, pitches_um in sizes.items()]
     planned = planned_light(demand) | {"sensors": sensors, "estimate": asdict(cost)}
@@ -85,8 +67,6 @@ def planned_study(job: StudyJob, jobs: int | None = None, types: int = 0) -> dic
         planned["sensor_types"] = types
     if job.study.has_cases:
         planned["cases"] = [{"at": case.at, "condition": case.condition, "alone": case.alone} for case in job.cases]
-    elif cost.seconds > LONG_S and (window := window_within(job.asked, job.camera, demand.plan, demand.shape, jobs)):
-        planned["window_within_a_minute_mm"] = window
     return planned | ({} if study.own_um is None else {"own_um": study.own_um})
 
 

@@ -59,7 +59,6 @@ from pixsim.studies.film_error import (
     step_size,
     surrounded,
 )
-from pixsim.studies.keys import remember_rendered
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
@@ -637,8 +636,6 @@ def rendered_light(demand: Demand, progress: Progress | None = None) -> tuple[Li
         fixed=fixed,
         max_seconds=settings.max_seconds,
     )
-    if plan.exact or cache.has_room(4 * light.image.planes.size):
-        remember_rendered(scene, demand.camera, plan, settings, light.image.shape[1])
     if has_target(settings.metrics):
         light = replace(light, without=without_target(demand, light.image.shape[1]))
     return light, last

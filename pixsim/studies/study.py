@@ -31,7 +31,6 @@ from pixsim.studies.cost import jobs_in_memory, largest_frame_bytes
 from pixsim.studies.elsewhere import curves_viewed
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluations import Counts, Evaluations, TooFewSizesError, check_ideals, ideal_facts, warn_of_stacks
-from pixsim.studies.keys import remember_evaluated
 from pixsim.studies.lights import lights_of_cases
 from pixsim.studies.oversampling import GivenLight, Light
 from pixsim.studies.preparation import StudyJob, prepare
@@ -204,8 +203,6 @@ def evaluate_cases(
                             samplings[own] = more[name]
             evaluations.end_group()
         evaluations.finish(rows)
-    if all(each.stored for each in series):
-        remember_evaluated([case.settings for case in cases])
     found: list[StudyResult | str] = []
     left_of_cases = [{series[number].name: left_out[number] for number in numbers if left_out[number]} for numbers in members]
     reasons = [next((impossible[number] for number in numbers if number in impossible), "") for numbers in members]

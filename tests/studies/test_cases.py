@@ -494,7 +494,8 @@ def test_study_command_dry_run_states_number_time_and_memory(tmp_path: Path, mon
     code, out, err = command(f"{line} --dry-run")
     assert code == 0, err
     assert "cases    12, 600000 evaluations" in out
-    assert re.search(r"^cost +about [\d.]+ (s|min|h).*, [\d.]+ GB of memory$", out, re.MULTILINE)
+    cost = r"^cost +12 renders, 600000 evaluations.*; about [\d.]+ (s|min|h), .*; [\d.]+ GB of memory$"
+    assert re.search(cost, out, re.MULTILINE)
     assert_refused(*command(line), ["600000 evaluations in 12 cases", "up to 100000", "--yes", "--dry-run"])
     assert not Path("out").exists()
 

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers.tiny import tiny
 
-from pixsim.base import cache
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
-from pixsim.studies.keys import EVALUATED, evaluated_before, light_hash, remember_evaluated
+from pixsim.studies.keys import light_hash
 from pixsim.studies.series import scenes_of, series_of
 from pixsim.studies.study_settings import Study
 
@@ -96,15 +94,3 @@ def test_settings_of_a_metric_count_where_it_is_asked_for(name: str, table: dict
 def test_raster_decides_on_the_frame_too() -> None:
     """A frame is registered with a display of dots, not with one of a dot for each pixel."""
     assert made_anew(tiny(), display=tiny(display={"raster": "one_to_one"}).display) == {"light", "frame", "score"}
-
-
-def test_a_study_of_many_cases_is_remembered_by_one_entry(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("PIXSIM_CACHE_DIR", str(tmp_path))
-    cases = [tiny(seed=seed) for seed in range(100)]
-    assert not evaluated_before(cases)
-    remember_evaluated(cases)
-    assert evaluated_before(cases)
-    assert evaluated_before([case.model_copy(update={"display": tiny(display={"gamma": 1.8}).display}) for case in cases])
-    assert not evaluated_before(cases[:-1])
-    assert not evaluated_before(cases[:1])
-    assert len(list((cache.folder() / EVALUATED).iterdir())) == 1
