@@ -1,4 +1,4 @@
-"""Dense sweeps of mean ΔE against pitch, the data of `interval_coverage.py`: tests/data/dense_sweeps/*.csv.
+"""Dense sweeps of mean ΔE, or of another metric, against pitch, the data of `interval_coverage.py`: tests/data/dense_sweeps/*.csv.
 
 python tests/benchmarks/dense_sweeps.py [NAME …]
 
@@ -51,6 +51,18 @@ def beside_an_end(count: int, **more: Any) -> pixsim.Study:
     return pixsim.Study.model_validate({"name": "open", "scene": {"file": "csf"}, "pitch": pitch} | more)
 
 
+def line(f_number: float, file: str, count: int, seed: int, repeats: int, *metrics: str) -> pixsim.Study:
+    """4t-bsi pixels behind a lens of 16 mm, as in docs/inspection_line.md, without motion."""
+    target = {"shape": "bar", "size_mm": 0.1, "contrast": -0.2} if file == "target" else {}
+    camera = {"die_mm": 0.6 if file == "target" else 1.2, "focal_length_mm": 16.0, "f_number": f_number, "object_distance_m": 0.3}
+    return pixsim.Study.model_validate({
+        "name": "line", "seed": seed, "repeats": repeats, "technologies": ["4t-bsi"], "metrics": metrics, "camera": camera,
+        "scene": {"file": file, "parameters": target | {"luminance_cd_per_m2": 79.6}},
+        "pitch": {"min_um": 0.95, "max_um": 8.2, "count": count}, "exposure": {"integration_s": 5e-4}, "display": {"dots": 128},
+        "pixel": {"bits": 12, "black_level_dn": 64},
+    })  # fmt: skip
+
+
 def studies() -> dict[str, pixsim.Study]:
     """Studies by the name of their data file."""
     one_to_one = {"display": {"raster": "one_to_one", "white_cd_per_m2": 1000.0}}
@@ -62,13 +74,19 @@ def studies() -> dict[str, pixsim.Study]:
         "at_the_end": chen2000("0.35um", 60, **one_to_one),
         "beside_an_end": beside_an_end(60),
         "skewed": chen2000("0.18um", 80),
+        "day": line(2.8, "csf", 48, 7, 48, "delta_e"),
+        "day_f8": line(8.0, "csf", 72, 1, 16, "delta_e", "information"),
+        "information": line(2.8, "target", 72, 1, SENSORS, "information", "delta_e", "detectability"),
+        "detectability": line(2.8, "target", 72, 1, SENSORS, "detectability", "delta_e", "information"),
     }
 
 
 def sweep(study: pixsim.Study) -> np.ndarray:
-    """(pitches, sensors) mean ΔE."""
+    """(pitches, sensors) mean ΔE, or the study's first metric."""
+    repeats = SENSORS if study.name != "line" else study.repeats
     with tempfile.TemporaryDirectory() as folder:
-        return pixsim.study(study.model_copy(update={"repeats": SENSORS, "refine": False}), folder).curves[0].delta_e
+        curve = pixsim.study(study.model_copy(update={"repeats": repeats, "refine": False}), folder).curves[0]
+    return curve.statistics[curve.metric.columns[0]]
 
 
 def main(names: list[str]) -> None:
@@ -76,12 +94,13 @@ def main(names: list[str]) -> None:
     for name, study in studies().items():
         if names and name not in names:
             continue
-        delta_e = sweep(study)
-        rows = zip(study_pitches_um(study, study.technologies[0]), delta_e.mean(axis=1), delta_e.std(axis=1, ddof=1), strict=True)
+        values, metric = sweep(study), study.metrics[0]
+        rows = zip(study_pitches_um(study, study.technologies[0]), values.mean(axis=1), values.std(axis=1, ddof=1), strict=True)
+        digits = 3 if metric == "information" else 6  # of 1e5 bits/mm²
         with (DATA / f"{name}.csv").open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(["pitch_um", "mean_delta_e", "sensor_std_delta_e"])
-            writer.writerows([f"{pitch:.4f}", f"{mean:.6f}", f"{std:.6f}"] for pitch, mean, std in rows)
+            writer.writerow(["pitch_um", f"mean_{metric}", f"sensor_std_{metric}"])
+            writer.writerows([f"{pitch:.4f}", f"{mean:.{digits}f}", f"{std:.{digits}f}"] for pitch, mean, std in rows)
 
 
 if __name__ == "__main__":
