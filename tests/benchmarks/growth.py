@@ -1,6 +1,6 @@
 """Scaling of time and memory with resolution, samples, bands, pitches, sensors and evaluations, with fitted exponents.
 
-    python tests/benchmarks/growth.py [--largest 8192] [--evaluations 1000000] [--out docs/pictures/growth.svg]
+    python tests/benchmarks/growth.py [--largest 8192] [--evaluations 1000000] [--out growth.svg]
 
 Each point runs in a new process, after a warm-up: processor time, which other programs disturb little, and peak memory including
 Python, Mitsuba and the compiler. The exponent p of time ~ n^p is fitted to the larger half of the points, that of memory to what
