@@ -18,18 +18,15 @@ from scipy.special import stdtrit
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from benchmarks.five_judges import JUDGES, best_words, markdown
+from benchmarks.five_judges import best_words, markdown
 from helpers.documents import ROOT, blocks_of
 
 import pixsim
-from pixsim.studies.agreement import fits_of
 from pixsim.studies.optimum import FittedCurve
 from pixsim.studies.result import Curve, StudyResult
 
 PAGE = ROOT / "docs/processing.md"
 AXIS = "processing"
-LIGHT = "10 cd"  # of judges.toml
-SHOWN = {name: JUDGES[name] for name in ("delta_e", "visual_noise")} | {"npwe": "d′ by eye"}
 
 
 def best_and_value(fit: FittedCurve) -> str:
@@ -68,19 +65,6 @@ def sizes_of(results: dict[str, StudyResult]) -> tuple[str, str]:
     return markdown(best), markdown(moves)
 
 
-def by_judge(of_chart: StudyResult, of_target: StudyResult) -> str:
-    """Best size and value of each processing by each judge of the shown picture that has a number behind it.
-
-    of_chart : the study `processing`, of which ΔE in the light of the target is taken
-    """
-    chart = {curve.at[AXIS]: curve.fit for curve in of_chart.curves if curve.condition == LIGHT}
-    rows = [(f"{AXIS}, {LIGHT}", *SHOWN.values())]
-    for curve in of_target.curves:
-        fits = {"delta_e": chart[curve.at[AXIS]]} | fits_of(curve)
-        rows.append((str(curve.at[AXIS]), *(best_and_value(fits[name]) if name in fits else "–" for name in SHOWN)))
-    return markdown(rows)
-
-
 def small_and_large(result: StudyResult) -> str:
     """Mean ΔE of the small and of the large pixels, with the interval of the difference of pairs."""
     rows = [("signal of the white", AXIS, "1.25 µm", "5 µm", "small less large")]
@@ -112,10 +96,8 @@ def main() -> None:
             return pixsim.study("chen2000", folder, config=options.out / of, jobs=options.jobs)
         return pixsim.study(str(options.out / of) if of in files else of, folder, quick=quick, jobs=options.jobs)
 
-    lights = study(AXIS, options.quick)
     made = (
-        *sizes_of({"paper, 1000 cd": study("paper.toml"), AXIS: lights}),
-        by_judge(lights, study("judges.toml")),
+        *sizes_of({"paper, 1000 cd": study("paper.toml"), AXIS: study(AXIS, options.quick)}),
         small_and_large(study("two_sizes.toml")),
     )
     print("\n\n".join(made))
