@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from pixsim.studies.run import run as run
     from pixsim.studies.study import study as study
     from pixsim.studies.study_settings import Study as Study
-    from pixsim.verification.survey import accuracy as accuracy
+    from pixsim.verification.ladder import accuracy as accuracy
     from pixsim.viewer import display as display, judges as judges, scielab as scielab
     from pixsim.viewer.colour_matrix import colour_matrix as colour_matrix
     from pixsim.viewer.demosaic import demosaic as demosaic
@@ -91,7 +91,7 @@ _NAMES_OF = {
     "studies.run": "run",
     "studies.many_sensors": "sweep",
     "explorer.exploring": "explore",
-    "verification.survey": "accuracy",
+    "verification.ladder": "accuracy",
 }
 _HOME = {name: module for module, names in _NAMES_OF.items() for name in names.split()}
 _MODULES = {

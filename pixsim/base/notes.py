@@ -8,11 +8,14 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import partial
 from pathlib import Path
 
 from pixsim.base.errors import shown
 
 MOST_DIGITS = 17  # which tell any two floats apart
+# Suppresses warnings, such as of clipped white, that the run itself gives once.
+without_warnings = partial(warnings.catch_warnings, action="ignore", category=UserWarning)
 
 
 class MachineWarning(UserWarning):

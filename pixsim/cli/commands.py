@@ -583,7 +583,7 @@ def compare(
 def accuracy(
     scene: Annotated[str, Parameter(help=SCENE_HELP, completer=common.complete_scene)],
     *,
-    quick: Annotated[bool, Parameter(help="Fewer steps.")] = False,
+    quick: Annotated[bool, Parameter(help="Fewer films.")] = False,
     options: SceneOptions = common.NO_OPTIONS,
     display: common.DisplayTable = None,
     seed: common.Seed = None,
@@ -593,22 +593,22 @@ def accuracy(
     out: Out = None,
     json: Json = False,
 ) -> None:
-    """Measure the error of a result against computing time, and check numerical stability at extreme settings.
+    """Measure the error of a mean ΔE against run time, and check numerical stability at extreme settings.
 
     Example: pixsim accuracy csf --quick
 
-    Writes ladders.csv, stability.csv, figures/*.svg and *.csv, summary.json and report.html.
+    Writes ladder.csv, stability.csv, figures/*.svg and *.csv, summary.json and report.html.
     """
     import_less()
     from pixsim.show.render import write
+    from pixsim.verification.ladder import measure_accuracy
     from pixsim.verification.report import FILES, accuracy_document
-    from pixsim.verification.survey import survey
 
     settings = options.settings(display=display, seed=seed)
     folder = out or DEFAULT_OUT / f"{Path(scene).stem}-accuracy"
     check_replaceable(folder, FILES)
-    with stages() as stage, output_folder(folder):  # an invalid folder fails before a minute of work
-        result = survey(scene, settings, quick=quick, sensor=sensor, variant=variant, progress=stage)
+    with stages() as stage, output_folder(folder):  # an invalid folder fails before the work
+        result = measure_accuracy(scene, settings, quick=quick, sensor=sensor, variant=variant, progress=stage)
         stage("report")
         document = accuracy_document(result)
         report = write(document, folder, figures=figures)
@@ -1008,7 +1008,7 @@ def cache(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Show or clear the cache: renders, frames of studies, calibrations.
+    """Show or clear the cache: renders, frames of studies, errors of films.
 
     Example: pixsim cache --clear
 

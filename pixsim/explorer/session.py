@@ -238,8 +238,7 @@ class Session:
         preset, tables = self._settings(asked, number)
         flags = [word for name in ("sensor", "variant", "units") if (value := getattr(job, name)) for word in (f"--{name}", value)]
         own = (job.source, preset.config, tables) if isinstance(self.source, str) else (LIGHT_FILE, (Path(SETTINGS_FILE),), {})
-        is_sure = result.light.converged and (result.budget is None or result.budget["met"])
-        found |= {"lines": text(run_document(result), LINE).splitlines(), "unsure": "" if is_sure else NOT_CONVERGED}
+        found |= {"lines": text(run_document(result), LINE).splitlines(), "unsure": "" if result.light.converged else NOT_CONVERGED}
         return found | {"command": command_words(*own, REPEATS, flags), "settings": run_settings_text(job, result.irradiance)}
 
     def _values(self, result: RunResult) -> dict[str, object]:

@@ -21,9 +21,9 @@ from pixsim.studies.cases import Case, cases_of
 from pixsim.studies.claims import verdicts
 from pixsim.studies.conditions import Compromise, Regret
 from pixsim.studies.engine import Workers
+from pixsim.studies.film_error import FilmError
 from pixsim.studies.noise_budgets import noise_budgets
 from pixsim.studies.optimum import Optimum
-from pixsim.studies.oversampling import FilmError
 from pixsim.studies.result import CasesResult, StudyResult, shown_mean_and_ci95
 from pixsim.studies.sentences import film_words, optima_table, optimum_line
 from pixsim.studies.study_settings import Study

@@ -319,7 +319,7 @@ def case_columns(result: CasesResult, curves: Sequence[Curve], axes: Sequence[st
 
 OWN_COLUMNS = (
     *("technology", "condition", "axis", "value", "optimum_um", "interval_low_um", "interval_high_um", "between_sizes_share"),
-    *("inside", "alike"),
+    "inside",
     *("mean_delta_e", "mean_delta_e_low", "mean_delta_e_high", "pitch_um", "within_1_percent_low_um", "within_1_percent_high_um"),
     *("cutoff_pitch_um", "fresnel_number"),
 )
@@ -339,7 +339,6 @@ def optimum_columns(curves: Sequence[Curve]) -> dict[str, Column]:
     """Return the optima with their intervals, empty for an open end, and the best value, as the least mean ΔE, with its interval.
 
     inside : whether the optimum lies between the ends of the sizes tried
-    alike : whether the film cannot tell apart the sizes around it, so that it is not known
     """
     best, name = [curve.optimum for curve in curves], best_column(curves[0])
     return {
@@ -347,7 +346,6 @@ def optimum_columns(curves: Sequence[Curve]) -> dict[str, Column]:
         **range_columns("interval", curves),
         "between_sizes_share": [each.between_sizes_share for each in best],
         "inside": [str(each.inside) for each in best],
-        "alike": [str(curve.alike_um is not None) for curve in curves],
         name: [each.value for each in best],
         f"{name}_low": [each.value_interval[0] for each in best],
         f"{name}_high": [each.value_interval[1] for each in best],
@@ -388,8 +386,8 @@ def sentences(*parts: str) -> str:
 
 
 def is_found(curve: Curve) -> bool:
-    """Return whether a curve has an optimum: inside the sizes tried, with a film that tells them apart."""
-    return curve.optimum.inside and curve.alike_um is None
+    """Return whether a curve has an optimum inside the sizes tried."""
+    return curve.optimum.inside
 
 
 def without(scales: Sequence[Scale]) -> str:
@@ -693,7 +691,6 @@ def map_table(grid: Grid, lines: Sequence[Line]) -> dict[str, Column]:
         curves[0].metric.columns[0]: values,
         "optimum_um": [curve.optimum.pitch_um for curve in curves],
         "inside": [str(curve.optimum.inside) for curve in curves],
-        "alike": [str(curve.alike_um is not None) for curve in curves],
         **range_columns("within_1_percent", curves),
         "cutoff_pitch_um": cutoffs_um,
         **fresnel_column(curves, pitch_um),
@@ -757,7 +754,7 @@ def cell_words(curve: Curve) -> str:
     """Return the optimum as in a cell of a map."""
     best = curve.optimum
     sign = "" if best.inside else "≤" if best.pitch_um <= curve.fitted_range_um[0] else "≥"
-    return "?" if curve.alike_um else sign + three_digits(best.pitch_um)
+    return sign + three_digits(best.pitch_um)
 
 
 def draw_cells(

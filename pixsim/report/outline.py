@@ -12,8 +12,8 @@ from pixsim.show.document import Block, Document, Table
 from pixsim.show.sentences import rounded
 from pixsim.studies.cost import MOST_EVALUATIONS, Cost
 from pixsim.studies.extent import columns_on
+from pixsim.studies.film_error import TOLERATED_SHARE
 from pixsim.studies.outline import planned_run, planned_study
-from pixsim.studies.oversampling import TOLERATED_SHARE
 from pixsim.studies.sentences import lens_words, view_words
 from pixsim.studies.study_settings import Study
 from pixsim.viewer.display_options import Display

@@ -17,7 +17,7 @@ from pixsim.report.kept import digest_of_content
 from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.pictures import crops, picture_axes, size_words
 from pixsim.report.settings import scene_rows, settings_tables
-from pixsim.report.wording import DELTA_E, blur_words, budget_section, map_words, rendered_words
+from pixsim.report.wording import DELTA_E, blur_words, map_words, rendered_words
 from pixsim.sensor.labels import label_of
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.show.document import DeltaEScale, Document, Fact, Link, Listed, Map, Note, Pictures, Plot, Section, Slider, Table, Text
@@ -155,7 +155,7 @@ def run_document(result: RunResult, warned: Collection[str] = ()) -> Document:
             camera_words(result),
             blur_words(*(result.irradiance, result.camera, score.physics, result.settings.display), result.chain.moving.longest_um),
         ),
-        sections=(budget_section(result.budget), budgets_section(budgets_of(result))),
+        sections=(budgets_section(budgets_of(result)),),
         data_file="score.json",
         sources=[Path(result.prepared.source)],
     )
@@ -191,7 +191,7 @@ def run_page(result: RunResult, files: RunFiles = USUAL, progress: Progress | No
 
 
 def several_facts(result: RunResult) -> Iterator[Fact]:
-    """Yield what is known of the sensors of a run of several, but for those of an error budget, and of several frames."""
+    """Yield what is known of the sensors of a run of several, and of several frames."""
     frames, repeats = result.prepared.frames, result.prepared.repeats
     yield from map(Fact, judged_lines(result)[leads_other(result) :])
     if repeats > 1 and result.interval_delta_e is not None:
@@ -348,7 +348,7 @@ def digest_of_run(lit: LitRun, files: RunFiles = USUAL) -> str:
     """Hash of everything that the files of a run are made from, but the wall times."""
     prepared, light = lit.prepared, lit.irradiance
     film = lit.rendered and lit.rendered.film.as_dict()
-    of_case = prepared.settings, prepared.camera, prepared.cases[0].settled is None
+    of_case = prepared.settings, prepared.camera
     own = *of_case, prepared.asked.camera, prepared.repeats, prepared.frames
     without = prepared.cases[0].without
     return digest_of_content(files, run_settings_text(prepared, light), light, film, prepared.technology, own, without)

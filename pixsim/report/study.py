@@ -18,7 +18,7 @@ from pixsim.report.pictures import size_words
 from pixsim.report.settings import record_rows, scene_rows, settings_table, settings_tables
 from pixsim.report.uncertainty import uncertainty_blocks, uncertainty_document
 from pixsim.report.views import SENSORS_SHOWN, Views, best_place, map_end, study_pictures, study_views
-from pixsim.report.wording import DELTA_E, blur_words, budget_section, compromise_answer, rendered_words
+from pixsim.report.wording import DELTA_E, blur_words, compromise_answer, rendered_words
 from pixsim.sensor.labels import file_label, labels_of
 from pixsim.show.document import (
     Block,
@@ -297,7 +297,7 @@ def document_of(
         data=data | ({"uncertainty": [each.as_dict() for each in result.uncertainty]} if result.uncertainty else {}),
         answers=answers[:ANSWERS_SHOWN],
         lead=(*lead, *(Note(note) for note in result.notes if note not in known)),
-        sections=[budget_section(data.get("error_budget"))],
+        sections=[],
     )
 
 
@@ -352,7 +352,6 @@ def study_page(
             Section("maps", "Whole pictures and maps", _maps(result, plots["maps"])),
             Section("paper", "Statements of the paper and results of pixsim", _paper(rows)),
             Section("figures", "The paper's other figures", plots["paper"]),
-            budget_section(result.budget),
             Section("optima", "Optima", [optima_table(result.curves)]),
             Section("numbers", "Numbers", [Section("", capital(curve.label), [numbers_table(curve)]) for curve in result.curves]),
             Section("assumed", "Assumptions", _assumptions(result)),

@@ -1,4 +1,4 @@
-"""Parts of several pages: captions, an error budget, what suits several conditions, and the contrast that blur leaves."""
+"""Parts of several pages: captions, what suits several conditions, and the contrast that blur leaves."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from pixsim.optics.camera import Camera
-from pixsim.show.document import Answer, Fact, Section, Strong, Table, headline, joined
+from pixsim.show.document import Answer, Strong, headline, joined
 from pixsim.show.sentences import interval
 from pixsim.studies.conditions import Compromise
 from pixsim.studies.merit import detail_terms
@@ -57,26 +57,6 @@ def weighted_words(metric: Metric) -> str:
     """Return the best weighted mean of a metric in words: "least weighted mean ΔE", "greatest weighted information"."""
     first, _, words = metric.best.partition(" ")
     return f"{first} weighted {words}"
-
-
-def budget_section(budget: dict[str, Any] | None) -> Section:
-    """Return an error budget, the largest source first; empty without a tolerance."""
-    if budget is None:
-        return Section("budget", "Error budget", ())
-
-    def row(name: str, effect: dict[str, float | None]) -> tuple[str, ...]:
-        delta_e, optimum_um = (size and f"{size:.1e}" for size in (effect["delta_e"], effect["optimum_um"]))
-        return name, f"{delta_e or 'unknown'} ΔE" + (f", {optimum_um} µm of the optimum" if optimum_um else "")
-
-    chosen = ", ".join(f"{name} {value:g}" for name, value in budget["settings"].items())
-    sizes = {name: math.inf if effect["delta_e"] is None else effect["delta_e"] for name, effect in budget["sources"].items()}
-    rows = [row(name, budget["sources"][name]) for name in sorted(sizes, key=lambda name: -sizes[name])]
-    if not budget["bounded"]:
-        rows.append(("spectral quadrature", "the requested tolerance, not a bound, since the plan does not know all surfaces"))
-    rows.append(row("total without display", budget["total"]))
-    met = "met" if budget["met"] else "NOT met"
-    words = Fact(f"error budget for {budget['tolerance_delta_e']:g} ΔE ({met}), with {chosen}:")
-    return Section("budget", "Error budget", (words, Table("error budget", (), rows, words=None)), brief=True)
 
 
 def blur_words(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display, path_um: float = 0.0) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import product
 from typing import Any, Literal, TypeVar
@@ -50,6 +50,9 @@ class RenderNoise:
     target : limit for `fraction`
     runs : number of renders, each with its own seed
     ended_by : why rendering ended
+    delta_e : half of the mean ΔE between noise-free pictures of the two halves, a limit of the error of a mean ΔE; None if it was
+        not measured
+    tolerance_delta_e : limit for `delta_e`, which takes the place of `target`; None means none
     """
 
     fraction: float
@@ -57,6 +60,8 @@ class RenderNoise:
     target: float
     runs: int
     ended_by: EndedBy
+    delta_e: float | None = None
+    tolerance_delta_e: float | None = None
 
 
 def render_until(
@@ -69,6 +74,8 @@ def render_until(
     *,
     render_noise: float = RENDER_NOISE,
     max_seconds: float | None = None,
+    tolerance_delta_e: float | None = None,
+    delta_e_between: Callable[[SpectralImage, SpectralImage], float] | None = None,
     progress: Progress | None = None,  # fraction done, and the current noise as text
     keep: bool = False,
 ) -> tuple[SpectralImage, RenderNoise]:
@@ -80,6 +87,8 @@ def render_until(
     render_noise : target, as a fraction of the sensor's temporal noise, RMS over pixels
     max_seconds : time limit of rendering, with a warning if it is reached; None limits the samples instead, to
         `Plan.most_samples`, so that the result does not depend on the machine. What the limit finds unfinished is given up.
+    tolerance_delta_e : limit of `RenderNoise.delta_e`, in place of `render_noise`; None means none
+    delta_e_between : returns the mean ΔE between noise-free pictures of two lights
     progress : called with the fraction done and the current noise
     keep : use the cache of renders; the result is the same bit for bit
 
@@ -97,14 +106,14 @@ def render_until(
     white = job.diffuser  # now: behind the renders no time may be left for a white plate
     if plan.exact:
         pictures, spp = job.run(0, lambda done: progress(done, "") if progress else None)
-        noise = RenderNoise(0.0, 0.0, render_noise, 1, "target")
+        noise = RenderNoise(0.0, 0.0, render_noise, 1, "target", 0.0, tolerance_delta_e)
         return job.image(pictures, spp, white, render_noise=asdict(noise)), noise
     halves: list[list[Array]] = [[], []]
     runs, level, at_level, weight, samples = 0, 0 if max_seconds is None else FIRST_LEVEL, 0, 0.0, 0
     noise = RenderNoise(math.inf, math.inf, render_noise, 0, "target")
     derived = [derive(pixel) if isinstance(pixel, Pixel) else pixel for pixel in pixels]
     sensed = [[physics.pixel.model_dump(), physics.technology.content] for physics in derived]
-    limits = content_hash([sensed, exposure.model_dump(), render_noise, max_seconds])
+    limits = content_hash([sensed, exposure.model_dump(), render_noise, max_seconds, tolerance_delta_e])
     in_time = job.cache.runs_in_time(limits) if job.cache and max_seconds is not None else None
     samples_of_pair = PAIR * math.prod(job.size) * plan.passes  # for each sample per film cell
     most = plan.most_samples / samples_of_pair  # per film cell
@@ -128,11 +137,13 @@ def render_until(
             runs, samples = runs + 1, samples + spp
         weight, at_level = weight + spp, at_level + 1
         fraction, relative = noise_of(job, halves, weight, derived, exposure)
-        much = (fraction / render_noise) ** 2 > LEVEL_FACTOR / 2
+        delta_e = _halves_delta_e(job, halves, weight, delta_e_between if tolerance_delta_e else None)
+        excess = _excess(RenderNoise(fraction, relative, render_noise, runs, "target", delta_e, tolerance_delta_e))
+        much = excess**2 > LEVEL_FACTOR / 2
         left = math.inf if max_seconds is not None else most - weight
         up = level < 0 or (much and at_level >= PAIRS_A_LEVEL and spp < MAX_SPP and spp * LEVEL_FACTOR <= left)
         level, at_level = (level + 1, 0) if up else (level, at_level)
-        if fraction <= render_noise:
+        if excess <= 1:
             ended = "target"
         elif spp > left:
             ended = "samples"
@@ -142,14 +153,16 @@ def render_until(
             ended = "max_seconds"
         elif runs >= MAX_RUNS:
             ended = "runs"
-        noise = RenderNoise(fraction, relative, render_noise, runs, ended or "target")
+        noise = RenderNoise(fraction, relative, render_noise, runs, ended or "target", delta_e, tolerance_delta_e)
         if max_seconds is not None:
             job.ends_at_s = begun_s + max_seconds  # there is a picture now
-        share.know(weight, min((fraction / render_noise) ** 2 * weight, weight + left), noise)
+        share.know(weight, min(excess**2 * weight, weight + left), noise)
     if ended == "max_seconds" and job.cache:
         job.cache.store_runs_in_time(limits, runs)
+    if noise.delta_e is None:
+        noise = replace(noise, delta_e=_halves_delta_e(job, halves, weight, delta_e_between))
     if ended != "target":
-        warn(_limit_words(ended, plan, runs, max_seconds, fraction, render_noise))
+        warn(_limit_words(ended, plan, noise, max_seconds))
     _average(halves[0], halves[1], weight)
     halves.pop()
     rounded = {key: float(f"{value:.6g}") if isinstance(value, float) else value for key, value in asdict(noise).items()}
@@ -176,7 +189,42 @@ def _average(even: Sequence[Array], odd: Sequence[Array], weight: float) -> None
             release(mean[rows], other[rows])
 
 
-def _limit_words(ended: EndedBy, plan: Plan, runs: int, max_seconds: float | None, fraction: float, render_noise: float) -> str:
+def _excess(noise: RenderNoise) -> float:
+    """Return the noise of a render over its limit."""
+    if noise.delta_e is None or noise.tolerance_delta_e is None:
+        return noise.fraction / noise.target
+    return noise.delta_e / noise.tolerance_delta_e
+
+
+def _halves_delta_e(
+    job: Renderer,
+    halves: Sequence[Sequence[Array]],
+    weight: float,
+    delta_e_between: Callable[[SpectralImage, SpectralImage], float] | None,
+) -> float | None:
+    """Return half of the mean ΔE between the pictures of two halves; None where it is not asked for, or one of them is black.
+
+    weight : samples of each half
+    """
+    if delta_e_between is None or not all(any(picture.any() for picture in half) for half in halves):
+        return None
+    one, other = (job.image(_means(half, weight), 0) for half in halves)
+    return delta_e_between(one, other) / 2
+
+
+def _means(totals: Sequence[Array], weight: float) -> list[NDArray[np.float32]]:
+    """Return sums of pictures over the weight of their samples."""
+    means = []
+    for total in totals:
+        mean: NDArray[np.float32] = zeros(total.shape, np.float32)
+        for rows in strips(*total.shape[:2]):
+            mean[rows] = total[rows] / weight
+            release(mean[rows], total[rows])
+        means.append(mean)
+    return means
+
+
+def _limit_words(ended: EndedBy, plan: Plan, noise: RenderNoise, max_seconds: float | None) -> str:
     """Return why a render ended before its target, and how much noise it has.
 
     Without the seconds that have passed: the text belongs to the result, which a cached render reproduces.
@@ -185,10 +233,13 @@ def _limit_words(ended: EndedBy, plan: Plan, runs: int, max_seconds: float | Non
     causes = {
         "samples": f"the render ended at its limit of {plan.most_samples:.2g} samples",
         "max_seconds": f"{limit_s} leaves no time for the next step of the render",
-        "runs": f"the render ended at its limit of {runs} renders",
+        "runs": f"the render ended at its limit of {noise.runs} renders",
     }
-    remains = "render noise is {} of the sensor noise, target {}".format(*told_apart(fraction, render_noise))
-    return f"{causes[ended]}: {remains}. {more_samples(fraction, render_noise) if ended == 'samples' else RAISE}"
+    if noise.tolerance_delta_e is not None and noise.delta_e is not None:
+        remains = "render noise makes up to {} ΔE, {} tolerated".format(*told_apart(noise.delta_e, noise.tolerance_delta_e))
+        return f"{causes[ended]}: {remains}. Raise --max-seconds or --tolerance-delta-e"
+    remains = "render noise is {} of the sensor noise, target {}".format(*told_apart(noise.fraction, noise.target))
+    return f"{causes[ended]}: {remains}. {more_samples(noise.fraction, noise.target) if ended == 'samples' else RAISE}"
 
 
 SECONDS_OF_LIMIT = 30.0  # of `Plan.most_samples` on two cores
@@ -223,23 +274,21 @@ ROUNDING = 1e-5  # of the noise in an image's header
 Settings = TypeVar("Settings", bound=Effort)
 
 
-def without_clock(asked: Settings, chosen: Settings, image: SpectralImage) -> Settings:
+def without_clock(asked: Settings, image: SpectralImage) -> Settings:
     """Return the settings that make the same picture again, whatever the clock says; those asked for if they have no time limit.
 
     A time limit may have ended the render, whose noise is then the target, and may have chosen the film.
 
     asked : with `max_seconds` as the user gave it
-    chosen : with what a calibration chose for a tolerance of ΔE, which chooses the film too
     image : of a render with these settings
     """
     if asked.max_seconds is None:
         return asked
-    noise, film = image.header["render_noise"], {"resolution": image.shape[1]}
-    no_limit: dict[str, Any] = {"max_seconds": NO_TIME_LIMIT_S}
+    noise = image.header["render_noise"]
+    no_limit: dict[str, Any] = {"max_seconds": NO_TIME_LIMIT_S, "resolution": image.shape[1]}
     if noise["ended_by"] == "max_seconds":
-        same = no_limit | film | {"render_noise": noise["fraction"] * (1 + ROUNDING), "tolerance_delta_e": None}
-        return chosen.model_copy(update=same)
-    return asked.model_copy(update=no_limit | ({} if asked.tolerance_delta_e else film))
+        no_limit |= {"render_noise": noise["fraction"] * (1 + ROUNDING), "tolerance_delta_e": None}
+    return asked.model_copy(update=no_limit)
 
 
 def _pair(job: Renderer, runs: int, level: int, share: _Share, times_s: list[float]) -> Iterator[tuple[list[Any], int]]:

@@ -2,7 +2,7 @@
 
 The display shows nothing finer than its dots, and the lens passes nothing finer than half a period of its cut-off. What the
 photodiodes of smaller pixels see comes back, as aliasing, only down to half a dot. The film has two samples for the finest of
-these; its error is then measured in the rendered picture (`studies/oversampling.py`).
+these; its error is then measured in the rendered picture (`studies/film_error.py`).
 """
 
 from __future__ import annotations

@@ -17,8 +17,8 @@ from pixsim.base.headline import NOT_CONVERGED
 from pixsim.light.spectral import SpectralImage
 from pixsim.show.sentences import with_error
 from pixsim.studies.cases import Case
+from pixsim.studies.film_error import FilmError, FilmSteps
 from pixsim.studies.lineup import Lineup
-from pixsim.studies.oversampling import FilmError, FilmSteps
 from pixsim.studies.paired import mean_interval, probability_above_zero
 from pixsim.studies.viewing import Viewed
 from pixsim.viewer.causes import Cause, causes_of, lightness_range
@@ -282,7 +282,7 @@ class Averaged:
         for lineup, sensor in ((part.lineup, sensor) for _, part in self.parts for sensor in part.sensors):
             where = f" in {lineup.condition}" if lineup.condition else ""
             found += [(cause.delta_e, f"{sensor.name}{where}: {cause.words}") for cause in sensor.causes]
-            errors = LightError.of(sensor.irradiance.header).errors(float(sensor.delta_e.mean()))
+            errors = LightError.of(sensor.irradiance.header).errors
             found += [(size, f"{NOT_CONVERGED}: {words}") for size, words in errors]
         found.sort(key=lambda one: -one[0])
         # Of several renders, the one with the most noise.

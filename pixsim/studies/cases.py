@@ -30,7 +30,6 @@ from pixsim.viewer.setting import Setting
 
 if TYPE_CHECKING:
     from pixsim.scene.scene import Scene
-    from pixsim.studies.budget import Settled
 
 BASE = "base"  # the value of an axis where the study's own settings hold
 
@@ -49,7 +48,6 @@ class Case(Generic[Settings]):
     name, file : of a comparison, the sensor's name, which is unique there, and its file or technology; else empty
     found : the scene with its chart, or the picture of another program; and the camera of the window, or of the part of the field
         that all sensors of a comparison see. None before they are looked for
-    settled : a calibration for its tolerance of ΔE, which chose the film and other settings
     without : light without the target, beside a picture, if a metric asks for it
     """
 
@@ -60,7 +58,6 @@ class Case(Generic[Settings]):
     name: str = ""
     file: str = ""
     found: tuple[Scene | SpectralImage, Camera] | None = field(default=None, repr=False)
-    settled: Settled | None = field(default=None, repr=False)
     without: SpectralImage | None = field(default=None, repr=False)
 
     @property

@@ -20,7 +20,7 @@ from pixsim.base.arguments import Count, Jobs, checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.files import output_folder
 from pixsim.base.layers import listed, plain_tables
-from pixsim.base.notes import collected_notes, warn
+from pixsim.base.notes import collected_notes, warn, without_warnings
 from pixsim.base.progress import Progress, Stage, no_stage
 from pixsim.scene.plan import Plan
 from pixsim.sensor.infrared import warn_of_light
@@ -28,15 +28,15 @@ from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import BORDER_PIXELS
 from pixsim.sensor.unit_slips import warn_of_unit_slips
 from pixsim.studies.averages import Averaged, Compared, Observed
-from pixsim.studies.budget import without_warnings
 from pixsim.studies.cases import Case, named
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.comparison_cases import ComparedCases, folders_of, prepare_cases
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluations import check_ideals, rows_of
+from pixsim.studies.film_error import kept_steps
+from pixsim.studies.lights import Light, rendered_light
 from pixsim.studies.lineup import ComparisonJob, Lineup, prepare
 from pixsim.studies.matched_cameras import Match
-from pixsim.studies.oversampling import Light, kept_steps, rendered_light
 from pixsim.studies.pair_uncertainty import PairUncertainty, Types, series_of_types
 from pixsim.studies.results_file import ResultsFile
 from pixsim.studies.rows import Row

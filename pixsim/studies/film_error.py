@@ -1,4 +1,4 @@
-"""A picture on films of fewer and of more samples, and the error of its own film that follows from what they give.
+"""The error of mean ΔE that a film causes, measured in its own picture on films of fewer and of more samples.
 
 * Cells averaged 2 × 2 and 4 × 4 are the cells of coarser films, with the same samples. Their differences give the order of
   convergence, and the extrapolated error is multiplied by a factor of safety, which is larger if the order is unreliable
@@ -8,27 +8,41 @@
   other pictures they show even light within each old sample, the most detail that its neighbours may hide.
 * A film without two samples for each detail counts what it may miss.
 
-Of a large picture parts are measured, spread evenly over it.
+All films have the noise of one frame, so that their mean ΔE differ by the film alone. Of a large picture 16 parts are measured,
+spread evenly over it, and smaller ones on the finer films.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.arrays import MEASURED, PARTS, Array, spread_parts
+from pixsim.base import cache
+from pixsim.base.arrays import MEASURED, PARTS, Array, Item, in_threads, spread_parts, stream
 from pixsim.base.errors import invalid
+from pixsim.base.notes import without_warnings
+from pixsim.base.progress import Progress, share_of, steps_of
+from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage
-from pixsim.optics.camera_lens import LENS_HEADER
+from pixsim.optics.camera_lens import LENS_HEADER, Tiling, tiling_of
+from pixsim.optics.veil import with_veil_of_whole
 from pixsim.scene.film import BLOCK, SAMPLES_PER_DETAIL, details_across, dots_across
 from pixsim.scene.rules import Chart
+from pixsim.sensor.collection import Illumination
+from pixsim.sensor.integration import ChannelLight, PartBehindLens, illumination_of
+from pixsim.sensor.motion_options import STILL
+from pixsim.sensor.readout import frame_variance_dn2, integration_time_s, lasting
+from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.noise_budget import noiseless_frame
+from pixsim.viewer.score import ImagingChain, SeenPicture, white_header
 
 MIN_CELLS = 4  # across a film
 MIN_PIXELS, MIN_PART_CELLS, MIN_DOTS = 16, 16, 8  # across a part; the cells are those of the coarsest film
@@ -43,6 +57,8 @@ LEFT = 0.05  # of the change between the coarser films
 ROUGH = 1.6  # of the larger change on the finer films
 MISSED, ENOUGH_PER_DETAIL = 0.05, 1.95  # of mean ΔE for each sample that a detail lacks
 UNSEEN, ENOUGH_PER_DOT = 0.4, 0.99  # of mean ΔE, over the samples per dot
+TOLERATED_DELTA_E, TOLERATED_SHARE = 0.01, 0.02  # of mean ΔE
+MOST_SAMPLES = max(repeated / averaged for repeated, averaged in FINER)
 
 
 @dataclass(frozen=True)
@@ -248,3 +264,434 @@ def whole_blocks(image: SpectralImage) -> SpectralImage:
         return image
     more = 2 * image.margin
     return image.with_planes(image.whole.planes[:, : rows + more, : columns + more], margin=image.margin)
+
+
+@dataclass(frozen=True)
+class FilmError:
+    """Error of mean ΔE that a film causes.
+
+    shape : (height, width) of the film in samples
+    sample_um : side of a sample on the sensor
+    pitch_um : of the pixels that were measured
+    delta_e : for each of them, the largest error to expect; NaN if the film is too small to tell
+    tolerated_delta_e : for each of them
+    limit : why the film is not finer; empty if it is fine enough
+    """
+
+    shape: tuple[int, int]
+    sample_um: float
+    pitch_um: tuple[float, ...]
+    delta_e: tuple[float, ...]
+    tolerated_delta_e: tuple[float, ...]
+    limit: str = ""
+
+    @property
+    def met(self) -> bool:
+        """Whether the error is tolerated at every pitch."""
+        return all(error <= most for error, most in zip(self.delta_e, self.tolerated_delta_e, strict=True))
+
+    @property
+    def largest_delta_e(self) -> float:
+        return max(self.delta_e, key=lambda error: math.inf if math.isnan(error) else error)
+
+    def error_at(self, pitch_um: Array) -> Array:
+        """Return the error at other pitches, interpolated between those measured; infinite where it is unknown."""
+        known = np.where(np.isnan(self.delta_e), np.inf, self.delta_e)
+        if not np.isfinite(known).all():
+            return np.full(np.shape(pitch_um), np.inf)
+        return np.interp(np.log(pitch_um), np.log(self.pitch_um), known)
+
+    def at(self, pitch_um: float) -> FilmError:
+        """Return the error and what is tolerated at one pitch, interpolated between those measured."""
+        error = float(self.error_at(np.array(pitch_um)))
+        tolerated = float(np.interp(np.log(pitch_um), np.log(self.pitch_um), self.tolerated_delta_e))
+        known = error if math.isfinite(error) else math.nan
+        return replace(self, pitch_um=(pitch_um,), delta_e=(known,), tolerated_delta_e=(tolerated,))
+
+    def left_on(self, across: int, before: FilmError | None = None) -> tuple[float, ...]:
+        """Return the errors at the pitches that are to be expected on a wider film; NaN where they are unknown.
+
+        The order of convergence is that seen between two films, within its bounds. Where there is one film alone, it is the largest
+        that there can be, and the error may also lose the larger factor of safety.
+
+        across : samples of the wider film
+        before : the error of a film of fewer samples
+        """
+        orders, factor = [MAX_ORDER] * len(self.delta_e), SAFE / UNSURE
+        if before is not None:
+            finer, factor = math.log(self.shape[1] / before.shape[1]), 1.0
+            orders = [
+                min(max(math.log(error / own) / finer, MIN_ORDER), MAX_ORDER) if error > 0 and own > 0 else MAX_ORDER
+                for error, own in zip(before.delta_e, self.delta_e, strict=True)
+            ]
+        wider = self.shape[1] / across
+        return tuple(factor * error * wider**order for error, order in zip(self.delta_e, orders, strict=True))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the error as in score.json and summary.json; `delta_e` is None if unknown."""
+        known = [None if math.isnan(error) else float(f"{error:.3g}") for error in self.delta_e]
+        largest = self.largest_delta_e
+        return {
+            "resolution": self.shape[1],
+            "shape": list(self.shape),
+            "sample_um": self.sample_um,
+            "delta_e": None if math.isnan(largest) else float(f"{largest:.3g}"),
+            "met": self.met,
+            "limit": self.limit,
+            "pitch_um": list(self.pitch_um),
+            "delta_e_at_pitch": known,
+            "tolerated_delta_e": [float(f"{most:.3g}") for most in self.tolerated_delta_e],
+        }
+
+
+def measure_film(
+    image: SpectralImage,
+    measured: Sequence[Imaging],
+    *,
+    chart: Chart | None = None,
+    tolerance_delta_e: float | None = None,
+    keep: bool = False,
+    larger: Sequence[Imaging] = (),
+    progress: Progress | None = None,
+) -> FilmError:
+    """Return the error of a film for each of some pixels, from its picture.
+
+    measured : the pixels, with one camera and display
+    chart : that the film shows, if nothing else; its detail is known
+    tolerance_delta_e : None tolerates the larger of 0.01 and 2 % of mean ΔE
+    keep : use the cache, for the picture of a render (`kept_steps`)
+    larger : increasing; the first whose channels are told apart takes the place of a smaller pixel whose channels are not
+    """
+
+    with without_warnings():  # the run itself warns of the white
+        white = white_header([SeenPicture(image, each.camera, each.physics) for each in measured], measured[0].display)
+        shown = image.with_planes(image.whole.planes, header=image.header | white, margin=image.margin)
+
+    def steps_of(number: int, imaging: Imaging) -> tuple[float, tuple[float, float]]:
+        part = share_of(progress, number / len(measured), (number + 1) / len(measured))
+        instead = [each for each in larger if each.pixel.pitch_um > imaging.pixel.pitch_um]
+        for each in (imaging, *instead):
+            try:
+                return each.pixel.pitch_um, (kept_steps if keep else film_steps)(shown, each, chart, progress=part).error()
+            except AlikeChannelsError:
+                if each is (instead or [imaging])[-1]:
+                    raise
+        raise AssertionError("unreachable")
+
+    pitches, found = zip(*(steps_of(*each) for each in enumerate(measured)), strict=True)
+    if tolerance_delta_e is None:
+        tolerated = [max(TOLERATED_DELTA_E, TOLERATED_SHARE * mean) for mean, _ in found]
+    else:
+        tolerated = [tolerance_delta_e] * len(found)
+    return FilmError(image.shape, image.pitch_um, pitches, tuple(error for _, error in found), tuple(tolerated))
+
+
+# A mean ΔE grows with the contrast that a lens takes, so a relative error of that contrast is one of ΔE. Whole films of 1024 and of
+# 2048 samples behind the packaged triplet differ by up to .4 % of their mean ΔE, which is also the bound of its blur's error.
+BLUR_ERROR = 1.5
+
+
+@dataclass(frozen=True)
+class FilmSteps:
+    """Mean ΔE of one sensor in the parts of a picture, on its film, on coarser ones and on finer ones.
+
+    delta_e : (films, parts), the film itself first, each next one of half the samples across; no films if it is too small to tell
+    finer_delta_e : (films, parts) of other parts, the film itself first, and then `FINER` ones; no films if they would be too large
+    blur_error : of the contrast behind a real lens (`Tiling.error`), whose parts have another blur than the picture; or 0
+    """
+
+    delta_e: Array
+    finer_delta_e: Array
+    sampling: FilmSampling
+    blur_error: float = 0.0
+
+    @classmethod
+    def from_dict(cls, known: dict[str, Any]) -> FilmSteps:
+        """Return the steps of `as_dict`."""
+        delta_e, finer_delta_e = np.array(known["delta_e"], float), np.array(known["finer_delta_e"], float)
+        return cls(delta_e, finer_delta_e, FilmSampling(*known["sampling"]), known["blur_error"])
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the steps for JSON."""
+        arrays = {"delta_e": self.delta_e.tolist(), "finer_delta_e": self.finer_delta_e.tolist()}
+        return arrays | {"sampling": [self.sampling.per_detail, self.sampling.per_dot], "blur_error": self.blur_error}
+
+    def error(self) -> tuple[float, float]:
+        """Return mean ΔE and its error by the film; NaN if the film is too small to tell."""
+        if not self.delta_e.size:
+            return math.nan, math.nan
+        mean = float(self.delta_e[0].mean())
+        return mean, _error_of(self.delta_e, self.finer_delta_e, mean, self.sampling) + BLUR_ERROR * self.blur_error * mean
+
+    def error_of_difference(self, other: FilmSteps) -> float:
+        """Return the error of the difference to another sensor's mean ΔE, with the same parts of the same film; NaN if unknown.
+
+        It is measured on the difference itself, since most of a film's error is common to both. Equal sensors have no error.
+        """
+        pairs = (self.delta_e, other.delta_e), (self.finer_delta_e, other.finer_delta_e)
+        if any(own.shape != others.shape for own, others in pairs) or not self.delta_e.size:
+            return math.nan
+        if all(np.array_equal(own, others) for own, others in pairs):
+            return 0.0
+        coarser = min((self.sampling, other.sampling), key=lambda sampling: (sampling.per_dot, sampling.per_detail))
+        (mean, _), (other_mean, _) = self.error(), other.error()
+        steps, finer_steps = (others - own for own, others in pairs)
+        blur_delta_e = BLUR_ERROR * max(self.blur_error, other.blur_error) * abs(other_mean - mean)
+        return _error_of(steps, finer_steps, max(mean, other_mean), coarser) + blur_delta_e
+
+
+def _error_of(delta_e: Array, finer_delta_e: Array, mean_delta_e: float, sampling: FilmSampling) -> float:
+    """Return `film_error` of the changes from film to film, (films, parts), as of `FilmSteps`."""
+    near, far = (step_size(fine, coarse) for fine, coarse in pairwise(delta_e))
+    finest = max((step_size(finer_delta_e[0], fine) for fine in finer_delta_e[1:]), default=0.0)
+    return film_error(near, far, mean_delta_e, sampling, finest)
+
+
+def kept_steps(
+    image: SpectralImage, imaging: Imaging, chart: Chart | None, largest_um: float | None = None, progress: Progress | None = None
+) -> FilmSteps:
+    """Return `film_steps` of the picture of a render, from the cache if it has those of the same parts.
+
+    Its header states everything that the picture depends on.
+    """
+    imaging, size_um = _of_parts(imaging), largest_um or imaging.physics.as_read.read_pitch_um
+    places = [measured_places(image, size_um, imaging.display, most) for most in (None, MEASURED_FINER)]
+    of_parts = [[[side.start, side.stop] for place in own for side in place] for own in places]
+    records = imaging.pixel, imaging.camera, imaging.exposure, imaging.correction, imaging.develop, imaging.display
+    sensed = [*(record.model_dump() for record in records), imaging.physics.technology.content]
+    versions = cache.version_fingerprint("mitsuba", "drjit", "colour-science")
+    return cache.load_or_compute(
+        "film",
+        content_hash([image.header, image.shape, *sensed, of_parts, versions]),
+        FilmSteps.from_dict,
+        lambda: film_steps(image, imaging, chart, largest_um, progress),
+        FilmSteps.as_dict,
+    )
+
+
+def _of_parts(imaging: Imaging) -> Imaging:
+    """Return the settings for parts of a picture: with the linear bound in place of a denoiser that adapts.
+
+    It leaves as little noise to hide an error of the film, and takes parts that are smaller than a filter's window.
+    """
+    if not imaging.develop.adapts:
+        return imaging
+    return replace(imaging, develop=imaging.develop.model_copy(update={"denoise": "wiener_bound"}))
+
+
+def film_steps(
+    image: SpectralImage, imaging: Imaging, chart: Chart | None, largest_um: float | None = None, progress: Progress | None = None
+) -> FilmSteps:
+    """Return the mean ΔE of one sensor in the parts of a picture, on its film, on coarser ones and on finer ones.
+
+    Behind a real lens only the parts are blurred, with light around them as wide as its PSF: each by the PSF of its middle, which
+    is the same on all films.
+
+    largest_um : pitch that sets the size of the parts; None means that of the pixel
+    """
+    imaging = _of_parts(imaging)
+    size_um, display = largest_um or imaging.physics.as_read.read_pitch_um, imaging.display
+    image = with_veil_of_whole(image, imaging.camera)
+    parts = list(parts_of(image, size_um, display))
+    sampling = FilmSampling.of(image.shape[1], imaging, chart)
+    if min(parts[0][0].shape) < BLOCK * MIN_PART_CELLS:
+        return FilmSteps(np.empty(0), np.empty(0), sampling)
+    lens = BehindLens.of(image, imaging)
+    films = [parts]
+    for _ in range(int(math.log2(BLOCK))):
+        films.append([(coarser(part, 2), shown) for part, shown in films[-1]])
+    places = measured_places(image, size_um, display)
+    blurred, scored = (0.4, 0.7) if lens else (0.0, 0.6)  # of the work
+    lights: Sequence[Sequence[tuple[ChannelLight, ...] | None]] = [[None] * len(parts)] * len(films)
+    if lens:
+        lights = lens.of_films(places, len(films), share_of(progress, 0.0, blurred))
+    delta_e = delta_e_on_films(films, lights, imaging, share_of(progress, blurred, scored))
+    finer = _finer_delta_e(finer_parts(image, size_um, display, chart), lens, imaging, share_of(progress, scored, 1.0))
+    return FilmSteps(delta_e, finer, sampling, lens.tiling.error if lens else 0.0)
+
+
+@dataclass(frozen=True)
+class BehindLens:
+    """Parts of a picture behind a real lens, on films of more and of fewer samples.
+
+    halo : film cells around a part, whole blocks, as wide as the lens's PSF
+    seen : mean spectrum of the picture, (B,)
+    illuminations : of the pixel's channels, in the picture
+    """
+
+    image: SpectralImage
+    imaging: Imaging
+    tiling: Tiling
+    halo: int
+    seen: Array
+    illuminations: Sequence[Illumination]
+
+    @classmethod
+    def of(cls, image: SpectralImage, imaging: Imaging) -> BehindLens | None:
+        """Return it for a real lens; None for a thin one."""
+        if (tiling := tiling_of(image, imaging.camera)) is None:
+            return None
+        halo = math.ceil(tiling.psf_um / image.pitch_um / BLOCK) * BLOCK
+        illuminations = [illumination_of(image, imaging.camera, channel) for channel in imaging.physics.channels]
+        return cls(image, imaging, tiling, halo, image.mean_spectrum(), illuminations)
+
+    def _lights(
+        self, films: Sequence[tuple[SpectralImage, int]], place: Place, more: float = 1.0
+    ) -> list[tuple[ChannelLight, ...]]:
+        """Return the light of a part on some films.
+
+        films : as of `PartBehindLens`
+        more : times as many samples across as the picture's has the film whose PSFs are taken
+        """
+        height, width = (math.ceil(more * count) for count in self.image.shape)
+        reach = (height, width), self.image.pitch_um / more
+        middle = ((side.start + side.stop - n) / 2 * self.image.pitch_um for side, n in zip(place, self.image.shape, strict=True))
+        y_um, x_um = middle
+        part = PartBehindLens(films, (y_um, x_um), self.seen, reach)
+        return part.lights(self.imaging.camera, self.tiling, self.imaging.physics, self.illuminations)
+
+    def of_films(
+        self, places: Sequence[Place], films: int, progress: Progress | None = None
+    ) -> list[list[tuple[ChannelLight, ...]]]:
+        """Return the light of parts on the film and on coarser ones; one light of the whole picture where there are no places.
+
+        That is made of patches with a blur each, where its detail is measured, not its blur.
+        """
+        patches = places or patches_of(self.image)
+
+        def on_films(number: int) -> list[tuple[ChannelLight, ...]]:
+            around = [(surrounded(self.image, patches[number], self.halo), self.halo)]
+            for _ in range(1, films):
+                around.append((coarser(around[-1][0], 2), around[-1][1] // 2))
+            return self._lights(around, patches[number])
+
+        found = list(zip(*each_of(on_films, len(patches), films * cells_at_once(self.image), progress), strict=True))
+        if places:
+            return [list(of_film) for of_film in found]
+        across = len({columns.start for _, columns in patches})
+        return [[_joined(of_film, across)] for of_film in found]
+
+    def of_part(self, part: PicturePart, fine: Sequence[SpectralImage]) -> list[tuple[ChannelLight, ...]]:
+        """Return the light of a part on finer films, beyond which its light goes on as in a mirror."""
+        films = []
+        for image in fine:
+            halo, (rows, columns) = round(self.halo * self.image.pitch_um / image.pitch_um), image.shape
+            films.append((surrounded(image, (slice(0, rows), slice(0, columns)), halo), halo))
+        return self._lights(films, part.place, MOST_SAMPLES)
+
+
+def each_of(function: Callable[[int], Item], count: int, size: int, progress: Progress | None = None) -> list[Item]:
+    """Return what a function gives for 0 … count - 1: the first alone, for what all share, and the others by `in_threads`."""
+    found, step_done = {}, steps_of(progress, count)
+
+    def compute(number: int) -> None:
+        found[number] = function(number)
+        step_done()
+
+    compute(0)
+    in_threads(compute, range(1, count), size)
+    return [found[number] for number in range(count)]
+
+
+def _joined(lights: Sequence[tuple[ChannelLight, ...]], across: int) -> tuple[ChannelLight, ...]:
+    """Return the light of patches, row by row, as one picture."""
+    joined = []
+    for of_channel in zip(*lights, strict=True):
+        rates = [light.rate_e_per_s_um2 for light in of_channel]
+        whole = np.block([rates[first : first + across] for first in range(0, len(rates), across)])
+        joined.append(replace(of_channel[0], rate_e_per_s_um2=whole))
+    return tuple(joined)
+
+
+def _finer_delta_e(
+    parts: Sequence[PicturePart], lens: BehindLens | None, imaging: Imaging, progress: Progress | None = None
+) -> Array:
+    """Return `FilmSteps.finer_delta_e`."""
+    if not parts:
+        return np.empty(0)
+
+    def on_films(number: int) -> tuple[list[SpectralImage], Sequence[tuple[ChannelLight, ...] | None]]:
+        fine = [parts[number].finer(*film) for film in FINER]
+        return fine, lens.of_part(parts[number], fine) if lens else [None] * len(FINER)
+
+    cells = len(FINER) * sum(math.prod(part.image.shape) for part in parts)
+    images, lights = zip(*each_of(on_films, len(parts), cells), strict=True)
+    films = [[(image, part.display) for image, part in zip(film, parts, strict=True)] for film in zip(*images, strict=True)]
+    return delta_e_on_films(films, list(zip(*lights, strict=True)), imaging, progress)
+
+
+def cells_at_once(image: SpectralImage) -> int:
+    """Return the cells of a picture of which several evaluations fit into memory at once; 0 of a larger one."""
+    cells = math.prod(image.shape)
+    return cells if cells <= MEASURED else 0
+
+
+Film = Sequence[tuple[SpectralImage, Display]]  # the parts of a picture on a film
+
+
+def delta_e_on_films(
+    films: Sequence[Film],
+    lights: Sequence[Sequence[tuple[ChannelLight, ...] | None]],
+    imaging: Imaging,
+    progress: Progress | None = None,
+) -> Array:
+    """Return the mean ΔE of each part on each film, (films, parts), with the noise of frames on the first film.
+
+    lights : of each part on each film behind the lens, where they are known
+    """
+    step_done = steps_of(progress, len(films))
+    delta_e = np.empty((len(films), len(films[0])))
+    first = chains_of_film(films[0], lights[0], imaging)
+    noise = [standard_noise_of(chain, imaging, number) for number, chain in enumerate(first)]
+
+    def measure(step: int) -> None:
+        chains = chains_of_film(films[step], lights[step], imaging) if step else first
+        for number, chain in enumerate(chains):
+            delta_e[step, number] = delta_e_with(chain, noise[number])
+        step_done()
+
+    cells = sum(math.prod(part.shape) for part, _ in films[0])
+    in_threads(measure, range(len(films)), len(films) * (cells if cells <= MEASURED else 0))
+    return delta_e
+
+
+def chains_of_film(film: Film, lights: Sequence[tuple[ChannelLight, ...] | None], imaging: Imaging) -> list[ImagingChain]:
+    """Return the imaging chain of each part of a film, all exposed as long as the brightest of them allows."""
+    # Each part has the border of its own pixels; what moves or flickers shows less of the film.
+    steady, physics = imaging.exposure.steady, imaging.physics
+    imaging = replace(imaging, border_um=None, single=False, motion=STILL, exposure=steady)
+
+    def prepare(number: int) -> ImagingChain:
+        part, display = film[number]
+        return imaging.chain(replace(imaging, display=display).light(part, physics, lights[number]), physics)
+
+    chains = each_of(prepare, len(film), sum(math.prod(part.shape) for part, _ in film))
+    brightest_e_per_s = max(float(chain.signal_e_per_s.max()) for chain in chains)
+    exposure = lasting(steady, integration_time_s(steady, physics, brightest_e_per_s))
+    return [replace(chain, exposure=exposure) for chain in chains]
+
+
+def standard_noise_of(chain: ImagingChain, imaging: Imaging, number: int) -> Array:
+    """Return the noise of a frame of the part of a number over its standard deviation, (rows, columns)."""
+    key = "accuracy", 0, imaging.physics.pitch_um, number
+    sensor_rng, correction_rng = stream(*key, "sensor"), stream(*key, "correction")
+    frame = chain.capture_with(sensor_rng, sensor_rng, correction_rng)
+    mean = noiseless_frame(chain, frame.integration_s)
+    return np.asarray((frame.electrons - mean.electrons) / _deviation_e(chain, frame.integration_s))
+
+
+def _deviation_e(chain: ImagingChain, integration_s: float) -> Array:
+    """Return the standard deviation of the frames of a chain in electrons, (rows, columns), by its closed form."""
+    signal_e = chain.signal_e_per_s * integration_s
+    return np.asarray(np.sqrt(frame_variance_dn2(signal_e, integration_s, chain.physics)) / chain.physics.dn_per_e)
+
+
+def delta_e_with(chain: ImagingChain, standard_noise: Array) -> float:
+    """Return the mean ΔE of a frame with a noise that is known but for its standard deviation.
+
+    Drawn anew for each film, the noise would hide changes of mean ΔE of less than 1e-3.
+    """
+    time_s = integration_time_s(chain.exposure, chain.physics, float(chain.signal_e_per_s.max()))
+    mean = noiseless_frame(chain, time_s)
+    electrons = mean.electrons + standard_noise * _deviation_e(chain, time_s)
+    return chain.score_frame(replace(mean, corrected_e=electrons.astype(np.float32))).mean_delta_e

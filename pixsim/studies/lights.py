@@ -1,31 +1,306 @@
-"""What the pixels of a case ask of their light; and the lights of a study: one for all of its cases that see the same."""
+"""The light that pixels ask for, on a film that is fine enough; and the lights of a study: one for all cases that see the same."""
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
-from pixsim.base.progress import Progress, Stage
+import numpy as np
+
+from pixsim.base.caller import setting
+from pixsim.base.errors import invalid
+from pixsim.base.notes import warn, without_warnings
+from pixsim.base.progress import Progress, Stage, share_of
+from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.scene.convergence import RenderNoise, render_until
+from pixsim.scene.film import fitting_width, largest_film
+from pixsim.scene.plan import Plan
+from pixsim.scene.scene import Scene
 from pixsim.sensor.labels import label_in
+from pixsim.sensor.motion_options import STILL
+from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.readout import integration_time_s
 from pixsim.studies.cases import Case
 from pixsim.studies.engine import Workers, results_of, workers_here
-from pixsim.studies.keys import light_hash
-from pixsim.studies.oversampling import Demand, GivenLight, Light, rendered_light
+from pixsim.studies.film_error import FilmError, display_of, measure_film, measured_places
+from pixsim.studies.keys import OF_LIGHT, light_hash
 from pixsim.studies.pixels import physics_of
 from pixsim.studies.preparation import first_film, plan_of, smallest_pixels, study_plan
 from pixsim.studies.sampling import border_on_um, imaging_of, largest_pixel_um, study_pitches_um
-from pixsim.studies.sight import Sight, clearest
 from pixsim.studies.study_settings import Study
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.noise_budget import noiseless_frame
 from pixsim.viewer.raw_metrics import has_target
-from pixsim.viewer.score import SeenPicture, white_header
-from pixsim.viewer.setting import Run
+from pixsim.viewer.score import SeenPicture, perceived_lab, white_header
+from pixsim.viewer.setting import Run, Setting
+
+WORTH_WIDENING = 1.2
+COARSER, LEAST_ACROSS = 4, 64  # of the first film where a tolerance of ΔE bounds its error
+RENDERING, RENDERING_CHART = 0.9, 0.3  # of the work on a film, before its error is measured
+
+
+Render = Callable[[Scene, Plan], tuple[SpectralImage, RenderNoise]]
+
+
+@dataclass(frozen=True)
+class Light:
+    """The irradiance on a sensor, on the film that was chosen for it.
+
+    camera : with which it was rendered
+    film : the error of its film
+    noise : of its render
+    without : irradiance of the scene without its target, if a metric asks for it
+    """
+
+    image: SpectralImage
+    camera: Camera
+    film: FilmError
+    noise: RenderNoise
+    without: SpectralImage | None = None
+
+
+@dataclass(frozen=True)
+class GivenLight:
+    """Irradiance that was given, and not rendered. The fields are those of `Light`."""
+
+    image: SpectralImage
+    camera: Camera
+    film: None = None
+    without: SpectralImage | None = None
+
+
+@dataclass(frozen=True)
+class Demand:
+    """What some pixels ask of one light.
+
+    scene, plan : of the first film, as for `render_on_film`
+    plan_of : returns the plan of the scene on another film
+    settings : with the limits of the render, and its seed
+    pixel : the least noisy one, with whose noise that of the render is compared
+    measured : pixels for which the error of the film is measured, with the camera
+    larger : of `measure_film`
+    """
+
+    scene: Scene
+    plan: Plan = field(repr=False)
+    plan_of: Callable[[Scene], Plan] = field(repr=False)
+    settings: Setting
+    pixel: Pixel | PixelPhysics
+    measured: Sequence[Imaging]
+    larger: Sequence[Imaging] = ()
+
+    @property
+    def camera(self) -> Camera:
+        """The camera, with its lens."""
+        return self.measured[0].camera
+
+    @property
+    def first(self) -> Scene:
+        """The scene on the first film."""
+        return self.scene.with_resolution(self.plan.resolution) if self.plan.resolution else self.scene
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W) of the first film in samples."""
+        return self.first.film_shape(self.camera, self.first.for_camera(self.camera))
+
+    def render(
+        self, scene: Scene, plan: Plan, *, keep: bool = True, progress: Progress | None = None
+    ) -> tuple[SpectralImage, RenderNoise]:
+        """Return the picture of a film, and its noise, within the limits of the settings.
+
+        keep : use the cache of renders
+        """
+        return render_until(
+            scene,
+            self.camera,
+            plan,
+            [self.pixel],
+            self.measured[0].exposure,
+            self.settings.seed,
+            keep=keep,
+            render_noise=self.settings.render_noise,
+            max_seconds=self.settings.max_seconds,
+            tolerance_delta_e=self.settings.tolerance_delta_e,
+            delta_e_between=self.delta_e_between,
+            progress=progress,
+        )
+
+    def delta_e_between(self, image: SpectralImage, other: SpectralImage) -> float:
+        """Return the largest mean ΔE of the pixels between noise-free pictures of two renders.
+
+        Pixels whose channels are not told apart show none.
+        """
+        delta_e = []
+        for imaging in (*self.measured, *self.larger[-1:]):
+            try:
+                delta_e.append(delta_e_between(image, other, imaging))
+            except AlikeChannelsError:
+                continue
+        return max(delta_e, default=math.nan)
+
+    def film_error(self, image: SpectralImage, plan: Plan, *, progress: Progress | None = None) -> FilmError:
+        """Return the error of a film, measured in its picture."""
+        tolerance_delta_e, larger = self.settings.tolerance_delta_e, self.larger
+        return measure_film(
+            image, self.measured, chart=plan.chart, tolerance_delta_e=tolerance_delta_e, keep=True, larger=larger, progress=progress
+        )
+
+
+def delta_e_between(image: SpectralImage, other: SpectralImage, imaging: Imaging) -> float:
+    """Return the mean ΔE between two lights as one sensor without noise shows them; of a large picture, between its parts."""
+    imaging = replace(imaging, border_um=None, motion=STILL, exposure=imaging.exposure.steady)
+    with without_warnings():  # the run itself warns of the white
+        white = white_header([SeenPicture(image, imaging.camera, imaging.physics)], imaging.display)
+    places = measured_places(image, imaging.physics.as_read.read_pitch_um, imaging.display)
+    whole = slice(0, image.shape[0]), slice(0, image.shape[1])
+    delta_e = []
+
+    for place in places or [whole]:
+        pictures, exposure = [], None
+        for light in (image, other):
+            planes = light.planes[:, place[0], place[1]]
+            part = light.with_planes(planes, header=light.header | white)
+            display = display_of(imaging.display, place[1], image.shape[1]) if places else imaging.display
+            chain = imaging.chain(replace(imaging, display=display).light(part))
+            brightest_e_per_s = float(chain.signal_e_per_s.max())
+            exposure = exposure or integration_time_s(imaging.exposure, imaging.physics, brightest_e_per_s)
+            pictures.append(chain.score_frame(noiseless_frame(chain, exposure)).image)
+        screen = chain.screen
+        seen = replace(screen, ideal_lab=perceived_lab(pictures[0], screen.display, screen.full, screen.single))
+        delta_e.append(float(seen.delta_e_of(pictures[1]).mean()))
+
+    return float(np.mean(delta_e))
+
+
+def rendered_light(demand: Demand, progress: Progress | None = None) -> tuple[Light, Plan]:
+    """Return the light that pixels ask for, within the limits of a command, by `render_on_film`; and the plan of its film.
+
+    Warns of what the plan warns of. Raises AlikeChannelsError if the colours of none of the pixels can be told apart.
+    """
+    scene, plan, settings = demand.scene, demand.plan, demand.settings
+    for note in plan.warnings:
+        warn(note)
+    rendering = RENDERING_CHART if plan.exact else RENDERING
+
+    def measure(image: SpectralImage, plan: Plan) -> FilmError:
+        part = share_of(progress, rendering, 1.0, f", the error of a film of {image.shape[1]} samples across")
+        return demand.film_error(image, plan, progress=part)
+
+    fixed = "set by --resolution" if settings.resolution else ""
+    render = partial(demand.render, progress=share_of(progress, 0.0, rendering))
+    light, last = render_on_film(
+        scene,
+        demand.camera,
+        plan,
+        render=render,
+        plan_of=demand.plan_of,
+        measure=measure,
+        fixed=fixed,
+        max_seconds=settings.max_seconds,
+        coarser=COARSER if settings.tolerance_delta_e is not None and not fixed else 1,
+    )
+    if has_target(settings.metrics):
+        light = replace(light, without=without_target(demand, light.image.shape[1]))
+    return light, last
+
+
+def without_target(demand: Demand, across: int) -> SpectralImage:
+    """Return the irradiance of the scene without its target, on a film of so many samples across.
+
+    Its samples are those of the scene with the target: where the pictures of a lit scene are the same, so is their noise.
+
+    Raises PixsimError if the scene does not have the parameters that leave the target out.
+    """
+    stated, name = demand.settings.metric.detectability.without, setting("metric.detectability.without")
+    if isinstance(stated, str):
+        from pixsim.scene.scene import load_scene
+
+        scene = load_scene(stated, variant=demand.scene.choice.variant)
+    else:
+        known = demand.scene.names
+        if unknown := [each for each in stated if each not in known]:
+            got = f"{', '.join(unknown)}, which {demand.scene.path.name} does not have"
+            hint = "Take the scene target, or state another scene without what is to be found."
+            raise invalid(name, got, f"parameters of the scene ({', '.join(sorted(known))}), or a scene", hint)
+        scene = demand.scene.with_parameters(**stated)
+    scene = scene.with_resolution(across)
+    image, noise = demand.render(scene, demand.plan_of(scene))
+    if noise.relative > 0:
+        warn(f"the light has render noise of {100 * noise.relative:.2g} %: what of it differs without the target counts as signal")
+    return image
+
+
+def render_on_film(
+    scene: Scene,
+    camera: Camera,
+    plan: Plan,
+    *,
+    render: Render,
+    plan_of: Callable[[Scene], Plan],
+    measure: Callable[[SpectralImage, Plan], FilmError],
+    fixed: str = "",
+    max_seconds: float | None = None,
+    coarser: int = 1,
+) -> tuple[Light, Plan]:
+    """Render a scene on the film of its plan, and again on a film of twice the samples across while the error is too large.
+
+    It stops where the order of convergence seen so far says that the widest film would not be fine enough either, for any of the
+    pixels whose error is too large.
+
+    The film depends on the settings only, not on the machine or the time, unless `max_seconds` is given.
+
+    plan : for `scene`, with `resolution` if its film is another one than the scene's
+    plan_of : returns the plan of the scene on another film
+    measure : returns the film's error
+    fixed : what sets the film, if it is not free
+    coarser : times that the first film has fewer samples across than that of the plan
+    max_seconds : of each render; a film that would take longer than what the earlier ones left of it is not tried. None means a
+        limit of the samples, `Plan.most_samples`.
+    """
+    chosen = scene.with_resolution(plan.resolution) if plan.resolution else scene
+    if coarser > 1:
+        height, width = chosen.film_shape(camera, chosen.for_camera(camera))
+        chosen = chosen.with_resolution(fitting_width(height / width, max(LEAST_ACROSS, width // coarser), width))
+        plan = plan_of(chosen)
+    rendered_s, before = 0.0, None
+    while True:
+        start = time.perf_counter()
+        image, noise = render(chosen, plan)
+        seconds = time.perf_counter() - start
+        rendered_s, film = rendered_s + seconds, measure(image, plan)
+        width, ratio = image.shape[1], camera.height_mm / camera.die_mm
+        in_time = plan.cells_in_time if max_seconds is None else math.inf
+        most = largest_film(ratio, plan.planes, in_time)
+        wider = fitting_width(ratio, 2 * width, most)
+        if film.met:
+            return Light(image, camera, film, noise), plan
+        end = f"the limit of {most} samples across for {plan.planes} picture{'s' * (plan.planes > 1)}"
+        left = film.left_on(most, before)
+        if fixed:
+            limit = fixed
+        elif wider < WORTH_WIDENING * width:
+            limit = end
+        elif all(  # comparisons with an unknown error are false
+            now <= tolerated or last > tolerated
+            for now, last, tolerated in zip(film.delta_e, left, film.tolerated_delta_e, strict=True)
+        ):
+            limit = f"about {max(left):.1g} ΔE would be left at {end}"
+        elif max_seconds is not None and rendered_s + seconds * (wider / width) ** 2 > max_seconds:
+            limit = "as --max-seconds allows"
+        else:
+            chosen, before = chosen.with_resolution(wider), film
+            plan = plan_of(chosen)
+            continue
+        return Light(image, camera, replace(film, limit=limit), noise), plan
 
 
 def demand_of(case: Case[Run] | Case[Study], *, full: bool = False) -> Demand:
@@ -36,23 +311,32 @@ def demand_of(case: Case[Run] | Case[Study], *, full: bool = False) -> Demand:
 
     full : whether no effect is left out of the light of a run
     """
-    scene, camera, study, settled = case.scene, case.camera, case.settings, case.settled
+    scene, camera, study = case.scene, case.camera, case.settings
     if isinstance(study, Run):
-        planned = partial(plan_of, camera=camera, settings=study, full=full, film_is_known=settled is not None)
-        return Demand(scene, planned(scene), planned, study, study.pixel, [Imaging.of(study, camera)], settled=settled)
+        planned = partial(plan_of, camera=camera, settings=study, full=full)
+        of_film = partial(planned, film_is_known=study.tolerance_delta_e is not None)
+        return Demand(scene, planned(scene), of_film, study, study.pixel, [Imaging.of(study, camera)])
     first = study.technologies[0]
     scene, plan = first_film(study, scene, camera)
     pitches_um = study_pitches_um(study, first).tolist() if study.options_of(first).colour is not None else []
     larger = [imaging_of(study, camera, first, pitch_um) for pitch_um in pitches_um]
     largest, of_film = physics_of(study, first, largest_pixel_um(study, first)), partial(study_plan, camera=camera, study=study)
-    return Demand(scene, plan, of_film, study, largest, measured_pixels(study, camera), larger, settled)
+    return Demand(scene, plan, of_film, study, largest, measured_pixels(study, camera), larger)
 
 
-def render_for(case: Case[Study], progress: Progress | None = None) -> Light:
-    """Return the light of a case of a study."""
+def render_for(case: Case[Study], progress: Progress | None = None, film: FilmError | None = None) -> Light:
+    """Return the light of a case of a study.
+
+    film : that was measured with more light, and takes the place of one of its own
+    """
     study, demand = case.settings, demand_of(case)
     try:
-        light, _ = rendered_light(demand, progress)
+        if film is None:
+            light, _ = rendered_light(demand, progress)
+        else:
+            scene = demand.scene.with_resolution(film.shape[1])
+            image, noise = demand.render(scene, demand.plan_of(scene), progress=progress)
+            light = Light(image, demand.camera, film, noise)
     except AlikeChannelsError as error:
         label = label_in(study.technologies[0], case.words)
         raise AlikeChannelsError(f"{label}: none of its pixel sizes is possible. {error}") from None
@@ -113,64 +397,69 @@ def _computed_lights(
 ) -> dict[str, Light | str]:
     """Return the lights of charts whose film cells are computed.
 
-    Of the films that show the same, the clearest is measured; if it is surely fine enough, so are the others.
+    Of cases that differ in the amount of light alone, the film of the brightest is measured. Where it is fine enough by far, the
+    others have it too: with less light, noise hides more of the detail that a film may miss.
     """
-    seen: dict[str, tuple[SpectralImage, Camera, RenderNoise]] = {}
-    sights: dict[str, Sight] = {}
-    for done, (key, found) in enumerate(results_of(_see_task, [(task, _nothing) for task in cases.items()], workers), 1):
-        if found is not None:
-            image, camera, noise, sights[key] = found
-            seen[key] = store(image), camera, noise
-        progress(done / (2 * len(cases)))
-    measured_in = {key: key for key in cases} | clearest(sights)
+    brightest: dict[str, str] = {}
+    for key in sorted(cases, key=lambda key: -_luminance(cases[key].settings)):
+        brightest.setdefault(_all_but_luminance(cases[key]) or key, key)
+    films: dict[str, FilmError] = {}
     lights: dict[str, Light | str] = {}
-    left = [key for key in cases if measured_in[key] == key]
-    while left:
-        for key, light in results_of(_render_task, [((key, cases[key]), _nothing) for key in left], workers):
+    measured = list(brightest.values())
+    others = [key for key in cases if key not in measured]
+    for keys in (measured, others):
+        tasks = [((key, cases[key], films.get(_all_but_luminance(cases[key]))), _nothing) for key in keys]
+        for key, light in results_of(_render_task, tasks, workers):
             lights[key] = _stored(light, store)
-            progress((len(cases) + len(lights)) / (2 * len(cases)))
-        for key, of in measured_in.items():
-            measured = lights[of]
-            if key not in lights and not isinstance(measured, str) and measured.film.surely_met:
-                image, camera, noise = seen[key]
-                lights[key] = Light(image, camera, measured.film.for_other_noise, noise)
-        left = [key for key in cases if key not in lights]
+            if isinstance(light, Light) and light.film.largest_delta_e <= BY_FAR * min(light.film.tolerated_delta_e):
+                films.setdefault(_all_but_luminance(cases[key]), light.film)
+            progress(len(lights) / len(cases))
     return lights
+
+
+LUMINANCE = "luminance_cd_per_m2"  # the parameter of a scene
+BY_FAR = 0.1  # of what is tolerated
+
+
+def _luminance(study: Study) -> float:
+    """Return the luminance that a study sets; 0 without one."""
+    stated = study.scene.parameters.get(LUMINANCE, 0.0)
+    return float(stated) if isinstance(stated, float | int) else 0.0
+
+
+def _all_but_luminance(case: Case[Study]) -> str:
+    """Return a key that cases have in common which differ in the amount of light alone; empty where a film holds for one case.
+
+    The display is as much brighter as the scene. In a time that is set, bright light saturates pixels, which hides detail.
+    """
+    study, luminance = case.settings, _luminance(case.settings)
+    if not luminance or study.exposure.integration_s is not None or has_target(study.metrics):
+        return ""
+    table = study.model_dump(mode="json", include=set(OF_LIGHT))
+    table["scene"]["parameters"].pop(LUMINANCE)
+    white = study.display.white_cd_per_m2
+    if white is not None:
+        table["display"]["white_cd_per_m2"] = float(f"{white / luminance:.9g}")
+    return content_hash(table)
 
 
 def _nothing() -> None:
     """Return what render tasks share."""
 
 
-LightTask = tuple[str, Case[Study]]  # its key
-
-
-def _see_task(task: LightTask, _: None) -> tuple[str, tuple[SpectralImage, Camera, RenderNoise, Sight] | None]:
-    """Return the key of a task, and its light on the first film of `render_for`, and what pixels see of it.
-
-    None in place of the light if it takes samples, or if the film may be too coarse.
-    """
-    key, case = task
-    study, demand = case.settings, demand_of(case)
-    if not demand.plan.exact or has_target(study.metrics):  # which takes another light beside it
-        return key, None
-    camera, plan = demand.camera, demand.plan
-    image, noise = render_until(demand.scene, camera, plan, [], study.exposure, study.seed, render_noise=study.render_noise)
-    image.header.update(white_header(seen_by_all(study, image, camera), study.display))
-    sight = Sight.of(image, demand.measured, plan.chart)
-    return key, (image, camera, noise, sight) if sight else None
+LightTask = tuple[str, Case[Study], FilmError | None]  # its key, and the film of a brighter light, if that is measured
 
 
 def _render_task(task: LightTask, _: None) -> tuple[str, Light | str]:
     """Return the key of a task, and its light or the reason why there is none."""
-    key, case = task
-    return key, _light_or_reason(case)
+    key, case, film = task
+    return key, _light_or_reason(case, film=film)
 
 
-def _light_or_reason(case: Case[Study], progress: Progress | None = None) -> Light | str:
+def _light_or_reason(case: Case[Study], progress: Progress | None = None, film: FilmError | None = None) -> Light | str:
     """Return `render_for`, or the reason why none of the study's pixel sizes is possible."""
     try:
-        return render_for(case, progress)
+        return render_for(case, progress, film)
     except AlikeChannelsError as error:
         return str(error)
 

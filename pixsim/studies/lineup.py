@@ -17,7 +17,7 @@ from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import missing
 from pixsim.base.layers import Layer
-from pixsim.base.notes import warn
+from pixsim.base.notes import warn, without_warnings
 from pixsim.base.records import Record, checked
 from pixsim.base.toml import packaged
 from pixsim.optics.camera import OF_DIE, Camera, CameraOptions
@@ -30,12 +30,10 @@ from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import BORDER_PIXELS, NO_TECHNOLOGY
 from pixsim.sensor.spread import sheet_uncertainty
 from pixsim.sensor.technology import check_name
-from pixsim.studies.budget import without_warnings
 from pixsim.studies.cases import Case, Job, named
 from pixsim.studies.condition import Condition
-from pixsim.studies.lights import demand_of
+from pixsim.studies.lights import Demand, demand_of
 from pixsim.studies.matched_cameras import Match, matched_cameras
-from pixsim.studies.oversampling import Demand
 from pixsim.studies.pair_uncertainty import Types
 from pixsim.studies.paired import FEWEST_PAIRS
 from pixsim.studies.preparation import ALLOWED_DOTS, check_metrics, choose_view, is_picture, loaded_scene, with_view
@@ -55,7 +53,7 @@ if TYPE_CHECKING:
 SENSORS = (2, 8)  # of a comparison; the page shows each in full
 REPEATS = (FEWEST_PAIRS, 10_000)
 OF_A_SENSOR = ("camera", "lens", "pixel", "exposure")  # tables that each file has of its own; the others are those of the first
-# Limits by the clock and calibrations differ between sensors: neither their film nor their noise would be the same.
+# Limits by the clock and of ΔE differ between sensors: neither their film nor their noise would be the same.
 NOT_COMPARED = {
     "tolerance_delta_e": "the film's error is measured and stated; --repeats and --render-noise make results surer",
     "max_seconds": "a number of samples limits each render; --render-noise changes it",

@@ -13,13 +13,12 @@ from pixsim.sensor.integration import pixels_on
 from pixsim.studies.cost import frame_cost, run_cost, study_cost
 from pixsim.studies.film_error import FilmSampling, film_error
 from pixsim.studies.keys import light_hash
-from pixsim.studies.lights import demand_of
+from pixsim.studies.lights import Demand, demand_of
 from pixsim.studies.run import NOISE_SENSORS
 from pixsim.studies.sampling import study_pitches_um
 from pixsim.studies.sensor_types import drawn_metrics
 
 if TYPE_CHECKING:
-    from pixsim.studies.oversampling import Demand
     from pixsim.studies.preparation import StudyJob
     from pixsim.studies.run import RunJob
 
@@ -74,8 +73,7 @@ def planned_light(demand: Demand) -> dict[str, Any]:
     """Return the film of a light, and what is known of its errors before there is light.
 
     samples, pitch_um, spp : of the film, rows and columns of samples, their pitch, and the rays of each in each pass
-    film_share : least error of the film as a share of mean ΔE, for details and dots that it cannot show; None if a calibration
-        chooses the film
+    film_share : least error of the film as a share of mean ΔE, for details and dots that it cannot show
     rays_a_pixel : limit of the rays on each pixel, of all passes together; None if only time limits them, 0 if there are none
     render_noise : its target, as a fraction of the sensor's noise
     """
@@ -84,7 +82,7 @@ def planned_light(demand: Demand) -> dict[str, Any]:
     rays = plan.most_samples / math.prod(pixels_on(smallest.camera.die_um, smallest.pixel.pitch_um))
     pitch_um = 1e3 * demand.camera.die_mm / width
     errors = {
-        "film_share": None if settings.tolerance_delta_e else film_error(0.0, 0.0, 1.0, sampling),
+        "film_share": film_error(0.0, 0.0, 1.0, sampling),
         "rays_a_pixel": 0.0 if plan.exact else None if settings.max_seconds else rays,
         "render_noise": settings.render_noise,
     }

@@ -226,20 +226,25 @@ def finest_pixel(study: Study) -> PixelPhysics:
 def plan_of(scene: Scene, camera: Camera, settings: Run, full: bool = False, *, film_is_known: bool = False) -> Plan:
     """Return the plan of the render of one frame.
 
-    film_is_known : whether the film of the scene is that of a calibration, in place of the one that suits the display
+    film_is_known : whether the film of the scene stays, in place of the one that suits the display
     """
-    display, tolerance_e = None if film_is_known else settings.display, settings.tolerance_e
-    pixel, exposure = settings.pixel, settings.exposure
-    return make_plan(scene, camera, pixel, exposure=exposure, display=display, tolerance_e=tolerance_e, full=full)
+    return make_plan(
+        scene,
+        camera,
+        settings.pixel,
+        exposure=settings.exposure,
+        display=None if film_is_known else settings.display,
+        tolerance_e=settings.tolerance_e,
+        full=full,
+    )
 
 
 def study_plan(scene: Scene, camera: Camera, study: Study) -> Plan:
-    """Return the plan of a study's render. With a tolerance of ΔE, samples are a part of the calibrated error."""
+    """Return the plan of a study's render."""
     coloured = [name for name in study.technologies if study.options_of(name).colour is not None]
     pixels = [pixel_of(study, name, study.pitch.largest_um) for name in coloured]
     aperture_um = None if camera.lens is None else finest_pixel(study).aperture_side_um
-    exact = study.tolerance_delta_e is None
-    return make_render_plan(scene, camera, pixels, aperture_um=aperture_um, tolerance_e=study.tolerance_e, exact=exact)
+    return make_render_plan(scene, camera, pixels, aperture_um=aperture_um, tolerance_e=study.tolerance_e, exact=True)
 
 
 def first_film(study: Study, scene: Scene, camera: Camera) -> tuple[Scene, Plan]:
@@ -396,9 +401,6 @@ def prepare(
     def source_for(study: Study) -> tuple[Scene | SpectralImage, Camera]:
         return scene_for(study, variant, scenes) if light is None else (light, camera_of_light(light, study.camera, study.lens))
 
-    if study.has_cases and study.tolerance_delta_e:
-        hint = "Leave it out, or run the study for one case."
-        raise invalid("tolerance_delta_e", study.tolerance_delta_e, "no tolerance in a study with axes or conditions", hint)
     columns = *OF_PIXEL, *columns_of_metrics((DELTA_E, *judging_of(study).metrics)), KEY
     if taken := [axis.name for axis in study.axis if axis.name in columns]:
         raise invalid("axis", f"name = '{taken[0]}', a column of every study", "another name")

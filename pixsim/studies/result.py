@@ -33,9 +33,9 @@ from pixsim.show.sentences import few, sentence, settings_line, span
 from pixsim.studies.agreement import agreement_of
 from pixsim.studies.cases import BASE, case_words
 from pixsim.studies.evaluations import FEWEST_SIZES, Counts, TooFewSizesError, blocks_of, frames_of, task_of
+from pixsim.studies.film_error import FilmError
 from pixsim.studies.light_level import LightLevel
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E, FittedCurve, Optimum, Widths, fit_curve, mean_and_ci95
-from pixsim.studies.oversampling import FilmError
 from pixsim.studies.pixels import photodiode_widths_um, physics_of, technology_of
 from pixsim.studies.rows import Row
 from pixsim.studies.sampling import largest_lens_um
@@ -76,7 +76,6 @@ class Curve:
     label : the technology's name for readers, unique in a study
     fresnel_number : (pitches,) of microlenses, below 1 where the model of their diffraction is doubtful; None without microlenses
     data_sheet : whether the sensor is described by its data sheet only, without a process
-    alike_um : smallest and largest of the pitches that the film cannot tell from the best; None if it can
     light : errors of the light, the film's at the best of the pitches
     at, condition, alone : of its case (`pixsim.studies.cases.Case`), in a study with axes or conditions
     left_out : pitches in µm that are not among them, each with the reason
@@ -98,7 +97,6 @@ class Curve:
     fit: FittedCurve = field(repr=False)
     label: str = ""
     data_sheet: bool = False
-    alike_um: tuple[float, float] | None = None
     light: LightError = field(default=NOTHING_KNOWN, repr=False)
     fresnel_number: Array | None = field(default=None, repr=False)
     at: dict[str, float | int | str] = field(default_factory=dict)
@@ -158,7 +156,7 @@ class Curve:
         first = next(each for each in self.metrics if each.name == metric)
         metrics = first, *(each for each in self.metrics if each is not first)
         fits = {self.metric.name: self.fit} | {name: fit for name, fit in self.fits.items() if name != metric}
-        return replace(self, metrics=metrics, fit=self.fits[metric], fits=fits, alike_um=None, viewed=(), causes=())
+        return replace(self, metrics=metrics, fit=self.fits[metric], fits=fits, viewed=(), causes=())
 
     @property
     def optimum(self) -> Optimum:
@@ -318,7 +316,6 @@ class Curve:
             "no_visible_difference_um": self.no_difference_um,
             "optimum_fill_factor": self.optimum_fill_factor,
             "optimum_features": self.optimum_features,
-            "alike_um": self.alike_um,
             **({"causes": [cause.as_dict() for cause in self.causes]} if self.causes else {}),
             "pitch_um": self.pitch_um.tolist(),
             "sensors": self.sensors.tolist(),
@@ -341,7 +338,6 @@ class StudyResult:
     irradiance : on the sensor plane, from which all frames are simulated
     camera : with which it was rendered
     film : error of the film of its irradiance
-    budget : error budget of the first curve, if a tolerance of ΔE was requested
     view : display and chart that pixsim chose for the sensor of a data sheet (`pixsim.studies.preparation.choose_view`)
     settings_toml : text of settings.toml, from which `pixsim study` makes the same numbers again
     warned : warnings while it was computed
@@ -355,7 +351,6 @@ class StudyResult:
     irradiance: SpectralImage = field(repr=False)
     camera: Camera
     film: FilmError | None = None
-    budget: dict[str, Any] | None = None
     view: dict[str, Any] = field(default_factory=dict)
     settings_toml: str = field(default="", repr=False)
     warned: tuple[str, ...] = ()
@@ -369,15 +364,14 @@ class StudyResult:
         object.__setattr__(self, "curves", tuple(self._labelled(curve, labels[curve.technology]) for curve in self.curves))
 
     def _labelled(self, curve: Curve, label: str) -> Curve:
-        """Return a curve with its label, the errors of its light, and the pitches that its film cannot tell apart."""
+        """Return a curve with its label, and the errors of its light."""
         part, words = self.part_of(curve), curve.words
-        alike_um = part.film.alike_um(curve.pitch_um, curve.mean()) if part.film and curve.judged_by_delta_e else None
         light = LightError.of(part.irradiance.header, part.film_at_best(curve), curve.causes)
         fresnel = None
         if has_microlens(part.study.options_of(curve.technology), technology_of(part.study, curve.technology)):
             nm, pitches_um = part.irradiance.wavelength_nm, curve.pitch_um.tolist()
             fresnel = np.array([least_fresnel_number(part.physics(curve.technology, um), nm) for um in pitches_um], float)
-        return replace(curve, label=", ".join(filter(None, (label, words))), alike_um=alike_um, light=light, fresnel_number=fresnel)
+        return replace(curve, label=", ".join(filter(None, (label, words))), light=light, fresnel_number=fresnel)
 
     @checks_arguments
     def film_at_best(self, curve: Curve) -> dict[str, Any] | None:
@@ -436,7 +430,7 @@ class StudyResult:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result as in summary.json."""
-        more: dict[str, Any] = {"error_budget": self.budget, "film": self.film and self.film.as_dict(), "chosen": self.view}
+        more: dict[str, Any] = {"film": self.film and self.film.as_dict(), "chosen": self.view}
         more["window_mm"] = self.study.window_mm
         return {name: value for name, value in more.items() if value} | {
             "study": self.study.model_dump(mode="json"),

@@ -15,7 +15,6 @@ from pixsim.base.arguments import Count, checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
 from pixsim.base.errors import invalid
-from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.notes import collected_notes, warn
 from pixsim.base.progress import Stage, no_stage, share_of, watched
 from pixsim.light.spectral import SpectralImage
@@ -34,10 +33,8 @@ from pixsim.sensor.technology import Technology, load_technology
 from pixsim.show.document import pairs, plain_text
 from pixsim.show.pages import plain, rows_csv
 from pixsim.show.render import cell_of
-from pixsim.studies.budget import with_tolerance
 from pixsim.studies.cases import Case, Job
-from pixsim.studies.lights import demand_of
-from pixsim.studies.oversampling import Demand, Light, rendered_light
+from pixsim.studies.lights import Demand, Light, demand_of, rendered_light
 from pixsim.studies.paired import mean_interval, spread_interval
 from pixsim.studies.preparation import check_metrics, choose_view, is_picture, loaded_scene, scene_with_view, with_view
 from pixsim.studies.sentences import run_answers
@@ -48,7 +45,7 @@ from pixsim.viewer.causes import Cause, causes_of, lightness_range
 from pixsim.viewer.develop_options import of_python
 from pixsim.viewer.display import dot_edges_um, white_light, white_rate
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.light_error import LightError, cause_words
+from pixsim.viewer.light_error import LightError
 from pixsim.viewer.metric_registry import metrics_named, names_of
 from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.noise_budget import NoiseBudget, noise_budget
@@ -90,7 +87,7 @@ class RunJob(Job[Run]):
     source : scene, or picture of another program
     asked : settings as they were given
     full : whether no effect is left out
-    repeats : number of sensors of the kind; a tolerance of ΔE may take more
+    repeats : number of sensors of the kind
     frames : number of frames of the first sensor
     units : of the picture, as they were given
     """
@@ -121,7 +118,7 @@ class RunJob(Job[Run]):
             return self.settings
         # Display and chart, too, may have been chosen; defaults in their place would count as given.
         of_view = {"display": self.settings.display, "scene": scene_table(self.cases[0].scene.path.parent, self.settings.scene)}
-        return without_clock(self.asked, self.settings, irradiance).model_copy(update=of_view)
+        return without_clock(self.asked, irradiance).model_copy(update=of_view)
 
     @property
     def whole_source(self) -> str:
@@ -152,9 +149,6 @@ def prepare(
         raise invalid(setting("frames"), frames, f"1 to {MAX_FRAMES}", hint)
     if not 1 <= repeats <= MAX_REPEATS:
         raise invalid(setting("repeats"), repeats, f"1 to {MAX_REPEATS} sensors")
-    if settings.tolerance_delta_e and full:
-        allowed = f"one of the two: a tolerance selects cheaper settings, {setting('full')} uses none"
-        raise invalid(setting("tolerance_delta_e"), f"with {setting('full')}", allowed)
     scene: Scene | None = None
     picture: SpectralImage | None = None
     if isinstance(source, SpectralImage):
@@ -226,7 +220,7 @@ class LitRun:
 class RunResult(LitRun):
     """A scene as one sensor sees it, with its score.
 
-    prepared : what was run: source, settings and camera, with what a tolerance of ΔE chose
+    prepared : what was run: source, settings and camera
     irradiance : light on the sensor, before diffraction
     rendered, plan : the light as it was rendered, with its errors, and the plan of that; None for light of another program
     warned : warnings meanwhile
@@ -329,15 +323,6 @@ class RunResult(LitRun):
         return LightError.of(self.irradiance.header, self.film, self.causes)
 
     @cached_property
-    def budget(self) -> dict[str, Any] | None:
-        """The error budget, as in score.json; None without a tolerance of ΔE."""
-        settled = self.prepared.cases[0].settled
-        if self.rendered is None or self.plan is None or settled is None:
-            return None
-        bound_e = self.plan.bound_e if self.plan.bounded else None
-        return settled.budget(self.rendered.noise, bound_e, len(self.statistics))
-
-    @cached_property
     def noise_budget(self) -> NoiseBudget | None:
         """Electrons and ΔE of the first sensor's frame by cause; None where nobody asks."""
         if not self.settings.noise_budget:
@@ -348,15 +333,10 @@ class RunResult(LitRun):
 
     @property
     def shown_mean(self) -> str:
-        """Mean ΔE as text, as it is known: over all sensors, with its error by the budget if there is one, else by its light."""
+        """Mean ΔE over all sensors as text, with its interval and the error of its light."""
         mean = self.mean_delta_e
-        if self.budget is None:
-            half = 0.0 if self.interval_delta_e is None else self.interval_delta_e[1] - mean
-            return self.light.shown(mean, half)
-        error, sensors = self.budget["total"]["delta_e"], len(self.statistics)
-        within = "(error unknown)" if error is None else f"± {error:.1g}"
-        unsure = "" if self.budget["met"] else f", {NOT_CONVERGED}"
-        return f"{mean:.4f}{cause_words(self.causes)} {within} over {sensors} sensor{'s' * (sensors > 1)}{unsure}"
+        half = 0.0 if self.interval_delta_e is None else self.interval_delta_e[1] - mean
+        return self.light.shown(mean, half)
 
     @property
     def assumption(self) -> str:
@@ -403,8 +383,6 @@ class RunResult(LitRun):
         if self.rendered is not None and self.plan is not None:
             more |= {"render_noise": asdict(self.rendered.noise), "plan": self.plan.as_dict(), "film": self.film}
             more |= {"window_mm": settings.window_mm} if settings.window_mm else {}
-        if self.budget is not None:
-            more |= {"error_budget": self.budget, "sensors": len(self.statistics), "sensors_mean_delta_e": self.mean_delta_e}
         if prepared.repeats > 1 and self.interval_delta_e is not None:
             more |= {"repeats": len(self.statistics), "delta_e": self.delta_e.tolist(), "sensors_mean_delta_e": self.mean_delta_e}
             more |= {"interval_delta_e": list(self.interval_delta_e)}
@@ -529,7 +507,6 @@ def light_run(prepared: RunJob, stage: Stage) -> LitRun:
     with collected_notes() as notes:
         image, rendered, plan = prepared.cases[0].picture, None, None
         if image is None:
-            prepared = with_tolerance(prepared, stage)
             rendered, plan = rendered_light(prepared.demand, stage("render"))
             image = rendered.image
         settings, physics = prepared.settings, derive(prepared.settings.pixel)
@@ -544,7 +521,7 @@ def score_run(lit: LitRun, stage: Stage, prepare: Callable[..., PreparedScene] |
 
     prepare : as of `make_imaging_chain`
     """
-    prepared, image, settings, settled = lit.prepared, lit.irradiance, lit.prepared.settings, lit.prepared.cases[0].settled
+    prepared, image, settings = lit.prepared, lit.irradiance, lit.prepared.settings
     with collected_notes() as notes:
         scored = stage("sense and score")
         of_sensor = settings.pixel, settings.exposure, settings.display, prepared.full, settings.correction, settings.develop
@@ -558,7 +535,7 @@ def score_run(lit: LitRun, stage: Stage, prepare: Callable[..., PreparedScene] |
         lacking: dict[str, str] = {}
         score = judged_score(chain, judging, ("evaluate", settings.seed), lacking)
         statistics, at_first = [score.statistics()], [score.statistics()]
-        sensors = max(prepared.repeats, settled.choice.sensors if settled else 1)
+        sensors = prepared.repeats
         imaging = replace(Imaging.of(settings, prepared.camera), is_run=True)
         assert chain.made_from is not None
         light, _ = chain.made_from

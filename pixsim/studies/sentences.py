@@ -24,7 +24,7 @@ from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
 from pixsim.viewer.causes import SATURATED_SHOWN
 from pixsim.viewer.develop_options import developed_words
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.light_error import LightError
+from pixsim.viewer.light_error import LightError, noise_and_limit
 from pixsim.viewer.metric_registry import metric_known
 from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.raw_metrics import DETECTABILITY, INFORMATION, contrast_factor
@@ -41,7 +41,7 @@ LEAST_RISE = 0.1  # per cent, of a curve to an end of its range: a fit says no m
 
 
 def optimum_parts(curve: Curve) -> list[Text]:
-    """Return the optimum of a curve with its interval and the sizes within 1 % of its error, if the film can tell sizes apart.
+    """Return the optimum of a curve with its interval and the sizes within 1 % of its error.
 
     Where a wide range of sizes shows no visible difference, that range comes first. What the optimum is on other displays follows.
     The parts are those of a `headline`.
@@ -73,8 +73,6 @@ def _optimum_parts(curve: Curve) -> list[Text]:
             return [("optimal pixel size ", Strong(f"{best.pitch_um:.2f} µm"), f" ({stated}), {value}")]
         ends = f"no optimum between {curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm"
         return [ends, f"the best is {best.pitch_um:.2f} µm, the end of the range (95 %: {interval_words(curve)}), {value}"]
-    if curve.alike_um:
-        return [alike_words(curve), f"least mean ΔE {curve.light.shown(curve.mean().min())}"]
     best, interval = curve.optimum, f"95 %: {interval_words(curve)}"
     within = f"within 1 % of it: {within_words(best.within_1_percent_um, curve)}"
     if words := no_difference_words(curve):
@@ -107,7 +105,7 @@ def optima_table(curves: Sequence[Curve]) -> Table:
         rows.append(
             (
                 curve.label,
-                alike_words(curve) if curve.alike_um else size,
+                size,
                 interval_words(curve),
                 f"{100 * best.between_sizes_share:.0f}",
                 _least_words(curve, ".3f" if by_delta_e else ".4g", sure or not by_delta_e),
@@ -129,13 +127,6 @@ def _least_words(curve: Curve, form: str, is_sure: bool) -> str:
 def is_partly_filled(curve: Curve) -> bool:
     """Return whether the photodiode leaves out a part of a pixel."""
     return bool(curve.fill_factor.min() <= FILLED)
-
-
-def alike_words(curve: Curve) -> str:
-    """Return why no optimum is named: the pitches that the film cannot tell apart."""
-    assert curve.alike_um is not None
-    low_um, high_um = curve.alike_um
-    return f"no optimum: the film cannot tell apart sizes from {low_um:.2f} to {high_um:.2f} µm"
 
 
 def no_difference_words(curve: Curve) -> str:
@@ -218,33 +209,31 @@ def viewed_words(curve: Curve, inside: bool = True) -> str:
 # --- how sure a mean ΔE is -------------------------------------------------------------------------------------------------------
 
 
-def unconverged(
-    header: Mapping[str, Any], film: Mapping[str, Any] | None, budget: Mapping[str, Any] | None = None, mean_delta_e: float = 0.0
-) -> list[str]:
+def unconverged(header: Mapping[str, Any], film: Mapping[str, Any] | None) -> list[str]:
     """Return a line on the errors of a result's light that are above their limits, and what makes them less; none without.
 
     header : of the irradiance
-    film, budget : entries `film` and `error_budget` of score.json; a budget that is met holds all errors
-    mean_delta_e : whose largest error is named first
+    film : entry `film` of score.json
     """
     light = LightError.of(header, film)
-    if light.converged or (budget and budget["met"]):
+    if light.converged:
         return []
-    found = f"{NOT_CONVERGED}: {'; '.join(reason for _, reason in light.errors(mean_delta_e))}"
+    found = f"{NOT_CONVERGED}: {'; '.join(reason for _, reason in light.errors)}"
     if film is None:
         return [f"{found}. To be surer: a render of its own, with more samples"]
-    means, limit = [], film.get("limit", "")
-    if not light.film_is_met and "--resolution" in limit:
+    means, limit, noise = [], film.get("limit", ""), noise_and_limit(header)
+    if light.film_words and "--resolution" in limit:
         means.append(f"leaving out {setting('resolution')}")
-    if light.noise is not None and not light.noise_is_met:
-        times, seconds = what_reaches(light.noise, light.noise_target)
+    if noise is not None and light.noise_words:
+        times, seconds = what_reaches(*noise)
         by_clock = header["render_noise"].get("ended_by") == "max_seconds"
         longer = f"a longer {setting('max_seconds')}"
         option = longer if by_clock else setting("max_seconds", f"{seconds:.15g}")
         means.append(f"{option} (about {times:.15g} times as many samples)")
-    elif light.noise is not None and light.noise > RENDER_NOISE:  # which coarser films show too, so that it counts as their error
+    elif noise is not None and header["render_noise"]["fraction"] > RENDER_NOISE:
+        # Coarser films show it too, so that it counts as their error.
         means.append(f"a lower {setting('render_noise')}")
-    elif not light.film_is_met and "--max-seconds" in limit:
+    elif light.film_words and "--max-seconds" in limit:
         means.append(f"a longer {setting('max_seconds')}")
     surer = [" and ".join(means)] * bool(means)
     window = f"a smaller part of the die ({setting('window_mm')}, in mm)"
@@ -258,8 +247,7 @@ def study_unconverged(result: StudyResult) -> list[str]:
         part = result.part_of(curve)
         if not curve.has_delta_e:
             continue
-        least = float(curve.mean(DELTA_E.columns[0]).min())
-        lines.append(unconverged(part.irradiance.header, part.film_at_best(curve), part.budget, least))
+        lines.append(unconverged(part.irradiance.header, part.film_at_best(curve)))
     return few(lines)
 
 
@@ -308,9 +296,8 @@ def unsure_words(result: RunResult) -> list[str]:
 
     A black level that clips dark noise is among them where it makes more than another one.
     """
-    mean = result.score.mean_delta_e
-    lines = unconverged(result.irradiance.header, result.film, result.budget, mean)
-    sized = [(size, line) for (size, _), line in zip(result.light.errors(mean), lines, strict=False)]
+    lines = unconverged(result.irradiance.header, result.film)
+    sized = [(size, line) for (size, _), line in zip(result.light.errors, lines, strict=False)]
     sized += [(cause.delta_e, str(cause)) for cause in result.causes]
     least = min((size for size, _ in sized), default=math.inf)
     sized += [(size, note) for note in result.dark_notes if (size := result.dark["lightness"]) > least]
@@ -321,10 +308,7 @@ def unsure_words(result: RunResult) -> list[str]:
 
 
 def score_parts(result: RunResult) -> list[Text]:
-    """Return the mean ΔE of a run, its pixels and its exposure, and how it is shown and rendered, as parts of a `headline`.
-
-    With a tolerance it is the mean over sensors and its error.
-    """
+    """Return the mean ΔE of a run, its pixels and its exposure, and how it is shown and rendered, as parts of a `headline`."""
     frame, settings, delta_e = result.score.frame, result.settings, ("mean ΔE ", Strong(result.shown_mean))
     rows, columns = frame.pixels
     border_um = result.score.border_um[1] if settings.display.raster == "fixed_size" else 0.0

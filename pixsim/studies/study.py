@@ -25,14 +25,12 @@ from pixsim.scene.packaged import packaged_scenes
 from pixsim.sensor.labels import label_in
 from pixsim.show.sentences import few
 from pixsim.studies.allocation import next_sensors, next_where_open
-from pixsim.studies.budget import with_tolerance
 from pixsim.studies.cases import Case, check_number
 from pixsim.studies.cost import jobs_in_memory, largest_frame_bytes
 from pixsim.studies.elsewhere import curves_viewed
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluations import Counts, Evaluations, TooFewSizesError, check_ideals, ideal_facts, warn_of_stacks
-from pixsim.studies.lights import lights_of_cases
-from pixsim.studies.oversampling import GivenLight, Light
+from pixsim.studies.lights import GivenLight, Light, lights_of_cases
 from pixsim.studies.preparation import StudyJob, prepare
 from pixsim.studies.result import CasesResult, Curve, StudyResult, causes_of_curve, curve_of
 from pixsim.studies.results_file import ResultsFile
@@ -51,11 +49,10 @@ if TYPE_CHECKING:
 FEW_CASES = 64  # of a study whose curves with an open end get more sizes and sensors
 
 
-def repeated_settings(job: StudyJob, chosen: Study, image: SpectralImage, asked: Asked | None = None) -> str:
+def repeated_settings(job: StudyJob, image: SpectralImage, asked: Asked | None = None) -> str:
     """Return the text of settings.toml, from which `pixsim study` makes the same numbers again.
 
-    chosen : the study as it was run, with the settings for its tolerance
-    image : its render
+    image : the render of the study
     asked : about its unknown numbers
     """
     from pixsim.scene.convergence import without_clock
@@ -66,7 +63,7 @@ def repeated_settings(job: StudyJob, chosen: Study, image: SpectralImage, asked:
         names = "light=…" if without is None else "light=…, without=…"
         command = f"pixsim.study('{SETTINGS_FILE}', out, {names}), of the light of digest {image.header[DIGEST]}{more}"
         return settings_text(job.study, command, spreads_of_study(job.study, job.uncertainty))
-    scene, kept = job.source, without_clock(job.study, chosen, image)
+    scene, kept = job.source, without_clock(job.study, image)
     file = kept.scene.file
     of_scene = {
         "file": file if file in packaged_scenes() else str(scene.path),
@@ -367,8 +364,6 @@ def run_prepared(
 
     asked : about its unknown numbers
     """
-    from pixsim.scene.convergence import RenderNoise
-
     check_number(len(job.cases), job.evaluations, agreed)
     if asked is not None:
         from pixsim.studies.sensor_types import check_types
@@ -381,8 +376,7 @@ def run_prepared(
     with collected_notes() as notes, ExitStack() as stack:
         ResultsFile(Path(out) / "results.csv").check_replaceable()
         workers, folder = stack.enter_context(workers_for(jobs, scheduler)), stack.enter_context(output_folder(out))
-        job = with_tolerance(job, stage)
-        chosen, settled = job.study, job.cases[0].settled
+        chosen = job.study
         lights = lights_of_cases(job.cases, stage, workers, store=PictureFile(folder).stored)
         reasons = [light for light in lights if isinstance(light, str)]
         lit = [(case, light) for case, light in zip(job.cases, lights, strict=True) if not isinstance(light, str)]
@@ -408,13 +402,10 @@ def run_prepared(
             from pixsim.studies.claims import findings_of_cases
 
             findings = findings_of_cases(found, workers, stage("paper's statements"))
-    first, budget = found[0], None
+    first = found[0]
     irradiance = first.irradiance
-    settings_toml = repeated_settings(job, chosen if job.study.has_cases else first.study, irradiance, asked)
-    if settled is not None:
-        noise, sensors = RenderNoise(**irradiance.header["render_noise"]), int(first.curves[0].sensors.min())
-        budget = settled.budget(noise, irradiance.header["bound_e"], sensors)
-    final = replace(first, warned=tuple(notes), curves=curves, settings_toml=settings_toml, budget=budget)
+    settings_toml = repeated_settings(job, irradiance, asked)
+    final = replace(first, warned=tuple(notes), curves=curves, settings_toml=settings_toml)
     if job.study.has_cases:
         names = dict.fromkeys(curve.technology for part in found for curve in part.curves)
         final = CasesResult(

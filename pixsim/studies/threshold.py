@@ -13,11 +13,11 @@ import scipy  # whose parts are imported when they are used
 
 from pixsim.base.caller import parameter, setting
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.notes import without_warnings
 from pixsim.base.progress import Progress
 from pixsim.scene.scene import Scene
-from pixsim.studies.budget import without_warnings
 from pixsim.studies.cases import Job
-from pixsim.studies.oversampling import Demand, Light, without_target
+from pixsim.studies.lights import Demand, Light, without_target
 from pixsim.studies.preparation import loaded_scene, scene_with_view
 from pixsim.viewer.judged import Judged, Judging
 from pixsim.viewer.metric_registry import metrics_named

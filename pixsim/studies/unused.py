@@ -8,7 +8,7 @@ from pixsim.base.records import Record
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.studies.study_settings import Study
-from pixsim.viewer.unused import RULES, Configuration, Rule, of_calibration, of_fill_factor_law
+from pixsim.viewer.unused import RULES, Configuration, Rule, of_fill_factor_law
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +70,7 @@ def rules_of(study: Study) -> tuple[Rule, ...]:
     return (
         *(rule for rule in RULES if rule.why is not of_fill_factor_law),
         Rule(("pixel.fill_factor_law",), lambda c: "" if starts_there and not c.from_sheet else of_fill_factor_law(c)),
-        Rule(("max_repeats",), lambda c: "" if of_calibration(c) else of_rounds(study)),
+        Rule(("max_repeats",), lambda _: of_rounds(study)),
         Rule(("max_evaluations",), lambda _: of_rounds(study)),
         Rule(("refine",), lambda _: of_refining(study)),
         Rule(("pitch.min_um", "pitch.max_um", "pitch.count"), lambda _: of_listed(study)),

@@ -1,6 +1,5 @@
-"""Error against run time of a scene's results; `stability` holds extreme cases with known answers.
+"""Error against run time of a scene's mean ΔE; `stability` holds extreme cases with known answers.
 
-Input: a scene and settings. Output: a survey with its report. In the order of the flow: `reference` (true values), `ladders`
-(one setting varied at a time), `orders` (of convergence), `solvers` (of the photodiode), `report`, `result`, `survey`.
+Input: a scene and settings. Output: an `Accuracy` (`ladder`) with its document (`report`).
 May import: base, light, optics, sensor, scene, show, viewer, studies, report.
 """

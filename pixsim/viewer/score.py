@@ -218,7 +218,7 @@ class FrameScore(Score):
             "One frame of one sensor: how much others differ is told by pixsim.study, whose means have 95 % intervals.",
             f"Pixel: {settings_line(given)}; all else is the default.",
             *(sentence(str(cause)) for cause in self.light.causes),
-            *(f"Not converged: {reason}." for _, reason in self.light.errors(self.mean_delta_e)),
+            *(f"Not converged: {reason}." for _, reason in self.light.errors),
             *([f"Light: {missing}; pixsim run and pixsim.study measure both."] if (missing := self.light.unmeasured) else []),
         ]
         return cell_of(title, self.plot(), pairs("statistics", self.statistics(), ".6g"), *notes)

@@ -51,8 +51,7 @@ class Effort(Record):
         1e-3, description="largest relative error of the mean electrons from simplifications of the render"
     )
     tolerance_delta_e: Annotated[float, Field(ge=1e-9, le=1e3)] | None = Field(
-        None,
-        description="largest error of the mean ΔE; a calibration chooses film, render noise, tolerance_e and number of sensors",
+        None, description="largest error of the mean ΔE by the film, and by the noise of the render in place of render_noise"
     )
     render_noise: Annotated[float, Field(ge=1e-6, le=1e6)] = Field(
         0.2, description="largest render noise, as a fraction of the sensor's temporal noise"

@@ -277,9 +277,9 @@ def of_shading(c: Configuration) -> str:
     return of_stack(c) or ("flat frames (correction.flat_frames) remove the shading" if c.correction.flat_frames else "")
 
 
-def of_calibration(c: Configuration) -> str:
+def of_tolerance(c: Configuration) -> str:
     chosen = c.command is not None and c.command.tolerance_delta_e is not None
-    return "a calibration chooses it for tolerance_delta_e" if chosen else ""
+    return "tolerance_delta_e limits the noise of the render in its place" if chosen else ""
 
 
 def of_metric(c: Configuration, name: str) -> str:
@@ -402,7 +402,7 @@ RULES = (
         ("tolerance_e", "render_noise", "max_seconds"),
         lambda c: "" if c.light is None else "the light of a picture is not rendered",
     ),
-    Rule(("tolerance_e", "render_noise", "repeats"), of_calibration),
+    Rule(("render_noise",), of_tolerance),
     Rule(("noise_budget",), lambda c: "a comparison has none; pixsim run tells that of each sensor" if c.is_compared else ""),
     Rule(("metric.information.contrast", "metric.information.corner_cy_per_mm"), of_natural_spectrum),
     Rule(("metric.detectability.without",), of_without),

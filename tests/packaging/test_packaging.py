@@ -26,8 +26,8 @@ TEXT_FILES = (".py", ".toml", ".csv", ".j2", ".xml", ".md", ".spd", ".txt", "MET
 QUICK_TESTS = {  # about half of the quick tests of every package, which need no other tools than pytest
     **{"base": "arrays cache config parameters", "light": "spectral", "optics": "diffraction thin_lens"},
     **{"sensor": "integration pixel readout technology", "scene": "charts plan scene", "show": "figures pictures"},
-    **{"viewer": "display scielab score", "studies": "budget result study", "measure": "sfr"},
-    **{"report": "run views", "verification": "accuracy solvers", "cli": "cli doctor"},
+    **{"viewer": "display scielab score", "studies": "film_error result study", "measure": "sfr"},
+    **{"report": "run views", "verification": "accuracy stability", "cli": "cli doctor"},
 }
 STUDY = """
 name = "tiny"

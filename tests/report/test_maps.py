@@ -119,7 +119,7 @@ def test_tables_hold_closed_form_optima(plates: dict[str, Plate]) -> None:
     for name, plate in plates.items():
         for row in rows_of(plate):
             assert row["optimum_um"] == pytest.approx(expected_um(row), rel=FIT), name
-            assert (row["inside"], row["alike"]) == ("True", "False")
+            assert row["inside"] == "True"
             if name.startswith("optimum"):
                 assert row["interval_low_um"] < row["optimum_um"] < row["interval_high_um"]
                 assert row["mean_delta_e"] == pytest.approx(least(row, "", ""), rel=1e-3)
@@ -357,29 +357,6 @@ def test_optima_at_an_end_are_hollow_and_hatched() -> None:
     for panel in (0, 1):
         assert hatched(two, panel) == {(1.5, light - 0.5) for light in range(3)}
     assert [text.get_text() for text in two.figure.axes[0].texts][2::3] == ["≥16.0"] * 3
-
-
-def unknown_at(result: StudyResult, **at: float | str) -> StudyResult:
-    """A result whose film cannot tell apart 5 to 7 µm at some values."""
-    for part in result.parts:
-        if at.items() <= part.curves[0].at.items():
-            for curve in part.curves:
-                object.__setattr__(curve, "alike_um", (5.0, 7.0))  # a result takes it from its film
-    return result
-
-
-def test_sizes_that_the_film_cannot_tell_apart_are_not_known() -> None:
-    grid = maps.Grid(unknown_at(result_of(lambda *_: 6.0, axis=[LENS])))
-    along = maps.optimum_along(grid, grid.scales[0], "")
-    assert along.table["alike"] == ["True"] * 3
-
-
-def test_an_unknown_size_is_a_hatched_question_mark() -> None:
-    optima = {2.8: 4.0, 4.0: 6.0, 8.0: 9.0}
-    result = unknown_at(result_of(lambda at, *_: optima[at["lens"]], axis=[LENS, LIGHTS | {"values": [1.0, 10.0]}]), lens=8.0)
-    two = maps.axis_plates(result)[-1]
-    assert [text.get_text() for text in two.figure.axes[0].texts][2::3] == ["?", "?"]
-    assert hatched(two, 0) == {(1.5, -0.5), (1.5, 0.5)}
 
 
 # --- names --------------------------------------------------------------------------------------------------------------

@@ -422,24 +422,41 @@ def test_noise_of_parts_equals_that_of_whole(monkeypatch):
     assert parts.fraction == pytest.approx(whole.fraction, rel=0.5)
 
 
+@pytest.mark.parametrize("tolerance_delta_e", [1e-9, 0.1, 10.0])
+def test_render_until_ends_where_half_of_the_delta_e_between_halves_is_tolerated(tolerance_delta_e: float) -> None:
+    """Halves of n renders of noise differ by √2 of it; here ΔE is the difference of all light, which halves with four times n."""
+
+    def difference(image: pixsim.SpectralImage, other: pixsim.SpectralImage) -> float:
+        return float(np.abs(image.planes - other.planes).mean() / image.planes.mean()) * 100
+
+    image, noise = until(LOOSE, tolerance_delta_e=tolerance_delta_e, delta_e_between=difference)
+    _, without = until(LOOSE, delta_e_between=difference)
+    assert noise.delta_e is not None
+    assert (noise.delta_e <= tolerance_delta_e) == (noise.ended_by == "target")
+    assert image.header["render_noise"]["delta_e"] == pytest.approx(noise.delta_e, rel=1e-5)
+    if tolerance_delta_e == 0.1:
+        assert noise.delta_e == pytest.approx(without.delta_e * math.sqrt(without.runs / noise.runs), rel=0.3)
+        assert noise.runs > without.runs
+
+
 @pytest.mark.parametrize(
     ("ended_by", "tolerance", "changed"),
     [
-        ("target", None, {"resolution": 3}),
-        ("target", 0.1, {}),  # the calibration chooses the film
-        ("max_seconds", None, {"resolution": 3, "render_noise": pytest.approx(0.5, rel=2e-5)}),
-        ("max_seconds", 0.1, {"resolution": 3, "render_noise": pytest.approx(0.5, rel=2e-5), "tolerance_e": 0.01}),
+        ("target", None, {}),
+        ("target", 0.1, {}),
+        ("max_seconds", None, {"render_noise": pytest.approx(0.5, rel=2e-5)}),
+        ("max_seconds", 0.1, {"render_noise": pytest.approx(0.5, rel=2e-5)}),
     ],
 )
 def test_without_clock_states_what_the_limit_led_to(ended_by, tolerance, changed):
     header = {"render_noise": {"fraction": 0.5, "ended_by": ended_by}}
     image = pixsim.SpectralImage([550.0], 10.0, 5.0, data=np.ones((2, 3, 1)), header=header)
     asked = Run(seed=4, max_seconds=7.0, tolerance_delta_e=tolerance)
-    chosen = asked.model_copy(update={"tolerance_e": 0.01, "render_noise": 0.3} if tolerance else {})
     by_clock = ended_by == "max_seconds"
-    expected = asked.model_dump() | {"max_seconds": NO_TIME_LIMIT_S} | ({"tolerance_delta_e": None} if by_clock else {}) | changed
-    got = without_clock(asked, chosen, image)
+    expected = asked.model_dump() | {"max_seconds": NO_TIME_LIMIT_S, "resolution": 3} | changed
+    expected |= {"tolerance_delta_e": None} if by_clock else {}
+    got = without_clock(asked, image)
     assert got.model_dump() == expected
     assert not by_clock or got.render_noise > 0.5, "or rounding could ask for one more render"
     free = Run(seed=4)
-    assert without_clock(free, free, image) == free
+    assert without_clock(free, image) == free

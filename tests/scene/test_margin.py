@@ -24,7 +24,6 @@ from pixsim.scene.scene import Scene
 from pixsim.sensor.integration import diffracted_rate
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.studies.budget import brighter
 from pixsim.studies.film_error import coarser
 
 PIXEL = Pixel(pitch_um=6.5)
@@ -227,7 +226,6 @@ def test_margins_are_beside_the_picture_and_survive_files_and_copies(factored: b
     assert [tuple(int(n) for n in corner) for corner in header["displayWindow"]] == [(0, 0), (23, 15)]
     assert [tuple(int(n) for n in corner) for corner in header["dataWindow"]] == [(-4, -4), (27, 19)]
     assert {plane.shape for plane in channels.values()} == {(24, 32)}
-    assert brighter(image, 2.0).margin == 4
     coarse = coarser(SpectralImage([550.0], 10.0, 5.0, data=np.random.default_rng(1).random((40, 40, 1)), margin=4), 2)
     assert (coarse.margin, coarse.shape) == (2, (16, 16))
     np.testing.assert_allclose(coarse.whole.data.mean(), coarse.whole.data.astype(float).mean())

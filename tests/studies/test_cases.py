@@ -270,7 +270,6 @@ def test_prepare_of_many_cases_derives_few_pixels_each(monkeypatch: pytest.Monke
             ({"axis": [PRNU | {"name": name}]}, f"axis: got name = '{name}', a column of every study")
             for name in ("mean_delta_e", "fill_factor", "integration_s")
         ),
-        ({"axis": [PRNU], "tolerance_delta_e": 0.1}, r"tolerance_delta_e: got 0.1; allowed: no tolerance in a study with axes"),
     ],
 )
 def test_prepare_names_what_no_case_can_have(over: dict[str, Any], message: str) -> None:

@@ -163,15 +163,17 @@ def test_repeats_are_in_all_outputs(made: RunResult, tmp_path: Path) -> None:
     assert "; 3 sensors" in command(f"{LINE} --repeats 3 --dry-run")[1]
 
 
-def test_a_tolerance_takes_more_sensors_than_asked_for_but_not_fewer() -> None:
-    options: dict[str, Any] = {"resolution": 64, "tolerance_delta_e": 0.05, "pixel": {"pitch_um": 42.4}}
-    options |= {"camera": {"die_mm": 1.0}, "display": {"dots": 16}}
-    chosen = pixsim.run("csf", **options).as_dict()
-    assert ("repeats" in chosen, chosen["sensors"] > 1) == (False, True)
-    asked = pixsim.run("csf", repeats=chosen["sensors"] + 2, **options).as_dict()
-    assert asked["repeats"] == asked["sensors"] == asked["error_budget"]["settings"]["sensors"] == chosen["sensors"] + 2
-    sources = [each["error_budget"]["sources"]["seeds"]["delta_e"] for each in (asked, chosen)]
-    assert sources[0] / sources[1] == pytest.approx((chosen["sensors"] / (chosen["sensors"] + 2)) ** 0.5, rel=0.02)  # 3 digits
+@pytest.mark.parametrize(("tolerance_delta_e", "across"), [(1.0, 64), (0.001, 256)])
+def test_the_film_doubles_until_its_error_is_tolerated(tolerance_delta_e: float, across: int) -> None:
+    """It begins with a quarter of the samples across that the display asks for; no more sensors are taken."""
+    options: dict[str, Any] = {"pixel": {"pitch_um": 42.4}, "display": {"dots": 16}, "camera": {"die_mm": 1.0}}
+    result = pixsim.run("csf", tolerance_delta_e=tolerance_delta_e, **options)
+    film = result.as_dict()["film"]
+    assert film["met"]
+    assert film["delta_e"] <= tolerance_delta_e == film["tolerated_delta_e"][0]
+    assert (film["resolution"] >= across) == (tolerance_delta_e < 1)
+    assert len(result.statistics) == 1
+    assert result.light.noise_delta_e == 0
 
 
 @pytest.mark.parametrize("number", [0, 10_001])

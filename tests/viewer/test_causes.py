@@ -287,7 +287,7 @@ def test_adc_that_sees_little_is_the_first_cause(options: dict[str, Any], words:
     (cause,) = score.light.causes
     assert words in cause.words
     assert 40 < cause.delta_e <= 100
-    film = replace(score.light, film_delta_e=3.6, tolerated_delta_e=0.02)
+    film = replace(score.light, film_delta_e=3.6, film_words="0.02 tolerated")
     assert film.shown(76.54) == f"76.5 ({cause.words}) ± 3.6 (film), not converged"
 
 
@@ -327,15 +327,16 @@ def test_hint_names_the_setting_that_states_white(header: dict[str, Any], displa
 
 def test_largest_cause_is_named_first() -> None:
     few, left_out = Cause("few codes", 50.0, "more bits"), Cause("light left out", 2.0, "a filter")
-    assert LightError(3.6, 0.02, causes=(few, left_out)).number(76.5) == "76.5 (few codes, …) ± 3.6 (film)"
-    noisy = LightError(0.6, 0.02, 2.0, 0.2)
-    assert [words.split()[0] for _, words in noisy.errors(0.5)] == ["the", "render"]
-    assert [words.split()[0] for _, words in noisy.errors(5.0)] == ["render", "the"]  # 1 - 1/√5 of 5 is 2.8
+    light = LightError(3.6, film_words="the film's error", causes=(few, left_out))
+    assert light.number(76.5) == "76.5 (few codes, …) ± 3.6 (film)"
+    for noise_delta_e, first in ((0.5, "film"), (2.8, "noise"), (math.nan, "film")):
+        errors = LightError(0.6, noise_delta_e, "film", "noise").errors
+        assert next(words for _, words in errors) == first
     outside = outside_header([Spectrum(np.array([400.0, 900.0]), np.ones(2))])
     named = causes_of(outside, Display(), FLAT, 1.0, 0.01, (50.0, 50.0))
     assert [cause.delta_e for cause in named] == sorted((cause.delta_e for cause in named), reverse=True)
     assert len(named) == 3
-    header = {"render_noise": {"fraction": 2.4, "target": 0.2, "ended_by": "samples"}}
+    header = {"render_noise": {"fraction": 2.4, "target": 0.2, "ended_by": "samples", "delta_e": 2.5}}
     dark = {"lightness": 1.0, "too_bright_e": 50.0, "spread_e": 1.0, "spread_dn": 1.0, "at_zero_fraction": 0.5, "gain_db": 0.0}
     dark |= {"least_black_level_dn": 9}
     result = run_result([4.0], header, causes=[left_out], dark=dark)

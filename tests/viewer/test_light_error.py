@@ -13,7 +13,7 @@ import pixsim
 from pixsim.base.caller import command_line
 from pixsim.show.document import plain_text
 from pixsim.show.sentences import with_error
-from pixsim.studies.oversampling import FilmError
+from pixsim.studies.film_error import FilmError
 from pixsim.studies.result import StudyResult
 from pixsim.studies.run import RunResult
 from pixsim.studies.sentences import optimum_line, score_parts, study_light_words, study_unconverged, unconverged
@@ -21,6 +21,7 @@ from pixsim.viewer.light_error import LightError
 
 NOISY = {"fraction": 2.4, "target": 0.2, "ended_by": "samples"}
 QUIET = NOISY | {"fraction": 0.2, "ended_by": "target"}  # at its target
+TOLERATED = NOISY | {"tolerance_delta_e": 0.1}  # in ΔE, in place of the target
 COARSE = FilmError((64, 64), 10.0, (5.0, 20.0), (0.6, 0.2), (0.02, 0.02), "the limit of 64 samples across for 20 pictures")
 FINE = replace(COARSE, delta_e=(0.02, 0.02), limit="")  # at what is tolerated
 UNKNOWN = replace(COARSE, delta_e=(math.nan, math.nan))
@@ -46,6 +47,8 @@ def of_run(noise: dict[str, Any] | None, film: FilmError | None, sensors: int = 
         (QUIET, COARSE, "1.0 ± 0.6 (film), not converged", ["the film's error is up to 0.6 ΔE, 0.02 tolerated"]),
         (QUIET, UNKNOWN, "0.973 ± an unknown error (film), not converged", ["the film's error is unknown, 0.02 tolerated"]),
         (NOISY, COARSE, "1.0 ± 0.6 (film), not converged", ["up to 0.6 ΔE", "2.4 of the sensor's"]),
+        (TOLERATED | {"delta_e": 0.2}, FINE, "0.973, not converged", ["render noise makes up to 0.2 ΔE, 0.1 tolerated"]),
+        (TOLERATED | {"delta_e": 0.1}, FINE, "0.973", []),
     ],
 )
 def test_mean_of_a_run_is_as_sure_as_it_looks(noise, film, shown, reasons):
@@ -85,19 +88,10 @@ def test_picture_of_a_render_is_not_made_surer_by_options():
     assert line.endswith("To be surer: a render of its own, with more samples")
 
 
-@pytest.mark.parametrize("met", [True, False])
-def test_error_budget_decides_where_there_is_one(met):
-    """Its total holds the film's error and the noise, so that their own limits do not count beside it."""
-    budget = {"met": met, "total": {"delta_e": 0.03}}
-    result = of_run(NOISY, COARSE, 3, budget=budget)
-    assert result.shown_mean == "0.9731 ± 0.03 over 3 sensors" + ("" if met else ", not converged")
-    assert len(unconverged(result.irradiance.header, result.film, budget)) == (not met)
-
-
 @pytest.mark.parametrize("found", ["loud", 1.0, [], {}, {"fraction": "a lot", "target": 0.2}, {"fraction": 3.0}])
 def test_header_of_another_program_may_hold_anything(found):
     light = LightError.of({"render_noise": found})
-    assert (light.noise, light.converged, light.unmeasured) == (None, True, "")
+    assert (light.noise_delta_e, light.converged, light.unmeasured) == (None, True, "")
 
 
 @pytest.mark.parametrize(

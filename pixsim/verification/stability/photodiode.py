@@ -15,7 +15,6 @@ from pixsim.sensor.mismatch import E_PER_FC
 from pixsim.sensor.photodiode import collected_charge_e, default_diode, diode_of
 from pixsim.sensor.pixel import Diode, derive
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.verification.solvers import solve_ode
 from pixsim.verification.stability import ExtremeCase, compare
 
 CURRENTS_E_PER_S = np.logspace(-3, 17, 201)
@@ -24,6 +23,7 @@ TEMPERATURES_K = (77.0, 300.15, 400.0)
 PITCHES_UM = {"0.5um": 8.7, "0.35um": 6.5, "0.25um": 5.3, "0.18um": 3.9}
 FORWARD = (1e12, 0.03)  # e-/s and s: 0.5 V forward at 300 K, beyond the 0.4 V of the sidewall at 0.18 µm
 HOURS_S = 36000.0
+MAX_EXPONENT = 700.0  # e^x is finite below
 
 
 def cases() -> Iterator[ExtremeCase]:
@@ -99,9 +99,31 @@ def implicit_solver() -> Iterator[ExtremeCase]:
     pixels += [(Pixel(), 1e17, HOURS_S)]
     for pixel, current, time_s in pixels:
         diode = diode_of(pixel)
-        expected, _, failure = solve_ode(diode, current, time_s, "LSODA")  # as exact as Radau here, in a tenth of its evaluations
         name = f"{pixel.technology}, {pixel.temperature_k:g} K, {current:g} e-/s for {time_s:g} s"
-        yield compare(name, expected, collected_charge_e(current, time_s, diode), 1e-8, f"LSODA (implicit) {failure}".strip())
+        expected_e = implicit_charge_e(diode, current, time_s)
+        yield compare(name, expected_e, collected_charge_e(current, time_s, diode), 1e-8, "LSODA, an implicit solver")
+
+
+def implicit_charge_e(diode: Diode, photocurrent_e_per_s: float, integration_s: float) -> float:
+    """Charge in e- from C dV/dt = -i by an implicit solver; NaN if it fails.
+
+    The variable is u = ln(1 + t/τ) with τ = C V_T/i at reset, so that it covers seconds to hours in few steps.
+    """
+    from scipy.integrate import solve_ivp
+
+    v_t, reset_v, saturation = diode.thermal_v, diode.reset_voltage_v, diode.saturation_current_e_per_s
+    total = max(photocurrent_e_per_s + saturation, np.finfo(float).tiny)
+    tau_s = E_PER_FC * float(diode.capacitance_ff(reset_v)) * v_t / total
+
+    def slope(u: float, bias_v: Array) -> Array:
+        diode_e_per_s = saturation * -np.expm1(np.minimum(-bias_v / v_t, MAX_EXPONENT))
+        volts_per_s = -(photocurrent_e_per_s + diode_e_per_s) / (E_PER_FC * diode.capacitance_ff(bias_v))
+        return volts_per_s * tau_s * math.exp(u)
+
+    tolerances = {"rtol": 1e-10, "atol": 1e-10 * v_t}
+    with np.errstate(all="ignore"):
+        solution = solve_ivp(slope, (0.0, math.log1p(integration_s / tau_s)), [reset_v], method="LSODA", **tolerances)
+    return float(diode.charge_e(reset_v, reset_v - solution.y[0, -1])) if solution.success else math.nan
 
 
 def without_diode_current() -> Iterator[ExtremeCase]:

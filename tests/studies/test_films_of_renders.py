@@ -12,7 +12,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from helpers.film_pictures import CAMERA, PIXEL, light
-from helpers.tiny import tiny
 from scipy.ndimage import gaussian_filter
 
 import pixsim
@@ -25,11 +24,9 @@ from pixsim.scene.film import MAX_ACROSS
 from pixsim.scene.plan import make_plan
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import lights_of
-from pixsim.studies.film_error import measured_places
-from pixsim.studies.optimum import fit_curve
-from pixsim.studies.oversampling import BehindLens, FilmError, film_steps, measure_film, render_on_film
-from pixsim.studies.result import Curve, StudyResult
-from pixsim.studies.sentences import film_words, optimum_line
+from pixsim.studies.film_error import BehindLens, FilmError, film_steps, measure_film, measured_places
+from pixsim.studies.lights import render_on_film
+from pixsim.studies.sentences import film_words
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
@@ -201,7 +198,7 @@ def test_render_on_film_fixed_or_out_of_time_keeps_film(options, words):
 def test_render_on_film_shares_its_time(limit_s: float, films: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each film takes 1.25 s for 256² samples, so that the next one takes four times as long: 1.25 + 5 and 1.25 + 5 + 20 s."""
     clock = iter(accumulate(1.25 * 4 ** (read // 2) * (read % 2) for read in range(100)))
-    monkeypatch.setattr("pixsim.studies.oversampling.time", SimpleNamespace(perf_counter=lambda: next(clock)))
+    monkeypatch.setattr("pixsim.studies.lights.time", SimpleNamespace(perf_counter=lambda: next(clock)))
     film, tried = rendered(lambda width: 40 / width, max_seconds=limit_s)
     assert tried == [256, 512, 1024][:films]
     assert "--max-seconds" in film.limit
@@ -217,31 +214,3 @@ def test_run_resolution_is_judged_and_default_is_finer():
     assert (fixed["film"]["resolution"], fixed["irradiance"]["film"]) == (64, [64, 64])
     truth = free["mean_delta_e"]
     assert abs(fixed["mean_delta_e"] - truth) < fixed["film"]["delta_e"] + free["film"]["delta_e"]
-
-
-# --- Words of a study ---
-
-
-def test_study_names_no_optimum_that_film_cannot_tell():
-    pitch_um = np.geomspace(5.3, 15.0, 6)
-    sizes, delta_e = tuple(pitch_um.tolist()), 1 + np.log(pitch_um / 8.0)[:, None] ** 2 + [-0.001, 0.001]
-    own = Curve("0.35um", 0.35, pitch_um, np.ones(6), {"mean_delta_e": delta_e}, fit_curve(pitch_um, delta_e))
-
-    def on(film: FilmError) -> StudyResult:
-        return StudyResult(tiny(), (own,), light(np.ones((4, 4))), CAMERA, film=film)
-
-    blind = on(replace(of(64, 10.0, pitches=sizes), limit="the limit"))
-    assert blind.curves[0].alike_um == (sizes[0], sizes[-1])
-    line = optimum_line(blind.curves[0])
-    assert "no optimum" in line
-    assert f"from {sizes[0]:.2f} to {sizes[-1]:.2f} µm" in line
-    assert "no optimum" in repr(blind)
-    assert blind.curves[0].as_dict()["alike_um"] == (sizes[0], sizes[-1])
-    for error, tolerated in ((0.009, 0.01), (1e-9, 1e-10)):  # tolerated; not, but smaller than any difference
-        assert on(of(4096, error, tolerated, sizes)).curves[0].alike_um is None
-
-
-def test_study_pixels_below_samples_are_alike():
-    film = replace(of(100, 1e-6, 1e-9, (1.0, 2.0, 30.0)), sample_um=24.0)
-    assert film.alike_um(np.array([1.0, 2.0, 30.0]), np.array([0.5, 0.6, 0.7])) == (1.0, 2.0)
-    assert film.alike_um(np.array([1.0, 2.0, 30.0]), np.array([0.7, 0.6, 0.5])) is None

@@ -1,0 +1,285 @@
+"""Mean ΔE of a scene on films of more and more samples: its error against run time, as `pixsim accuracy` shows it."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pixsim.base.arguments import Whole, checks_arguments
+from pixsim.base.arrays import Array
+from pixsim.base.notes import without_warnings
+from pixsim.base.progress import Progress, Stage, no_stage
+from pixsim.scene.film import fitting_width, largest_film
+from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.motion_options import STILL, Motion
+from pixsim.sensor.pixel import derive
+from pixsim.show.document import plain_text
+from pixsim.show.pages import Figures, plain, rows_csv
+from pixsim.show.render import notebook, write
+from pixsim.studies.cases import Case
+from pixsim.studies.film_error import chains_of_film, delta_e_with, measure_film, standard_noise_of
+from pixsim.studies.lights import Demand, demand_of, rendered_light
+from pixsim.studies.preparation import loaded_scene
+from pixsim.verification.stability import ExtremeCase, all_cases
+from pixsim.viewer.develop_options import with_functions
+from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.light_error import LightError
+from pixsim.viewer.score import SeenPicture, white_header
+from pixsim.viewer.setting import Run
+from pixsim.viewer.settings_file import run_settings
+from pixsim.viewer.unused import RULES, Configuration, Rule, fields_of, warn_of_unused_settings
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+EFFORTS, QUICK_EFFORTS = (0.25, 0.5, 1.0), (0.5, 1.0)  # samples across the film, relative to that of a run
+REFERENCE, REFERENCE_OF_CHART = 2.0, 4.0
+SURE = 1 / 3  # of the smallest error that is shown: largest error of the reference
+LEAST_ACROSS = 16
+
+
+@dataclass(frozen=True)
+class Rung:
+    """Mean ΔE of one sensor on one film.
+
+    across : samples of the film
+    render_noise : its target, as a fraction of the sensor's noise; a film of twice the samples across has half of it
+    seconds : of render and score
+    light : errors that pixsim states by itself
+    error_delta_e : difference from the reference; NaN without one
+    """
+
+    across: int
+    render_noise: float
+    seconds: float
+    mean_delta_e: float
+    light: LightError = field(repr=False)
+    error_delta_e: float = math.nan
+
+    @property
+    def stated_delta_e(self) -> float:
+        """Sum of the errors by the film and by the noise of the render."""
+        errors = self.light.film_delta_e, self.light.noise_delta_e
+        return sum(math.nan if error is None else error for error in errors)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the rung as in summary.json and ladder.csv."""
+        values = {name: value for name, value in vars(self).items() if name != "light"}
+        return values | {"film_delta_e": self.light.film_delta_e, "noise_delta_e": self.light.noise_delta_e}
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """The errors of a scene's mean ΔE against run time, and extreme cases with known answers.
+
+    name : of the scene
+    rungs : films of less work than the default settings, and these, which come last
+    reference : a film of more samples; its own error is below a third of the smallest that is shown, or it is none
+    cases : extreme cases
+    header : of the irradiance with the default settings
+    settings : as given
+    seconds : wall time in s
+    """
+
+    name: str
+    rungs: tuple[Rung, ...]
+    reference: Rung | None
+    cases: tuple[ExtremeCase, ...] = field(repr=False)
+    header: dict[str, Any] = field(repr=False)
+    settings: Run = field(repr=False)
+    seconds: float
+
+    @property
+    def reference_words(self) -> str:
+        """What the errors are measured against."""
+        if self.reference is None:
+            return "no reference: no film that fits is sure enough"
+        stated = self.reference.stated_delta_e
+        return f"a film of {self.reference.across} samples across, whose own error is at most {stated:.2g} ΔE"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the results as in summary.json."""
+        return {
+            "scene": self.name,
+            "assumption": self.settings.pixel.assumption,
+            "reference": None if self.reference is None else plain(self.reference.as_dict()),
+            "ladder": [plain(rung.as_dict()) for rung in self.rungs],
+            "stability": [plain(case.as_dict()) for case in self.cases],
+            "seconds": self.seconds,
+        }
+
+    @checks_arguments
+    def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
+        """Return a row for each rung of the ladder as CSV, and write it to `path` if given."""
+        return rows_csv([rung.as_dict() for rung in self.rungs], path)
+
+    @checks_arguments
+    def write(self, folder: str | os.PathLike[str], figures: Figures = "svg") -> Path:
+        """Write report.html, ladder.csv, stability.csv, summary.json, figures/ (*.svg, *.csv) and provenance.json.
+
+        folder : created if missing
+        figures : "pdf" writes a PDF beside each SVG
+
+        Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
+        pixsim did not write.
+        """
+        from pixsim.verification.report import accuracy_document
+
+        return write(accuracy_document(self), Path(folder), figures=figures)
+
+    def plot(self) -> Figure:
+        """Return a Matplotlib figure of error against wall time."""
+        from pixsim.verification.report import work_precision
+
+        return work_precision(self).figure
+
+    def _repr_html_(self) -> str:
+        from pixsim.verification.report import accuracy_document
+
+        return notebook(accuracy_document(self))
+
+    def __repr__(self) -> str:
+        from pixsim.verification.report import answer
+
+        return f"<Accuracy of {self.name}: {plain_text(answer(self).head)}>"
+
+
+@checks_arguments
+def accuracy(
+    scene: str | os.PathLike[str],
+    *,
+    quick: bool = False,
+    config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
+    parameters: Mapping[str, float | int | str] | None = None,
+    camera: Mapping[str, Any] | None = None,
+    lens: Mapping[str, Any] | None = None,
+    pixel: Mapping[str, Any] | None = None,
+    exposure: Mapping[str, Any] | None = None,
+    motion: Mapping[str, Any] | None = None,
+    correction: Mapping[str, Any] | None = None,
+    develop: Mapping[str, Any] | None = None,
+    display: Mapping[str, Any] | None = None,
+    seed: Whole | None = None,
+    sensor: str | None = None,
+    variant: str | None = None,
+    progress: Stage | None = None,
+) -> Accuracy:
+    """Measure the error of a scene's mean ΔE against run time, and check numerical stability at extreme settings.
+
+    scene : XML file or name of a packaged scene
+    quick : fewer films
+    config : one or more TOML files with a sensor, its camera, exposure and display; later ones take precedence
+    parameters : of the scene, each in its unit
+    camera, lens, pixel, exposure, motion, correction, develop, display : fields of these tables, each in its unit, which override
+        those of the files
+    seed : of the render; None means that of `config`, or 0
+    sensor : id of the scene's sensor, if it has several
+    variant : Mitsuba variant; None means the fastest that works
+    progress : returns a callback for each named stage
+
+    Raises PixsimError for invalid input, and if the scene cannot be rendered or captured.
+
+    >>> result = accuracy("csf", quick=True, camera={"die_mm": 0.4}, display={"dots": 32})
+    >>> len(result.rungs), all(case.passed for case in result.cases)
+    (2, True)
+    """
+    tables = {"camera": camera, "lens": lens, "pixel": pixel, "exposure": exposure, "motion": motion}
+    tables |= {"correction": correction, "develop": develop and with_functions(develop), "display": display, "scene": parameters}
+    settings = run_settings(config, {name: value for name, value in (tables | {"seed": seed}).items() if value is not None})
+    return measure_accuracy(os.fspath(scene), settings, quick=quick, sensor=sensor, variant=variant, progress=progress or no_stage)
+
+
+NOT_USED = Rule(
+    (
+        *("metrics", "metric", "noise_budget", "tolerance_delta_e", "max_seconds", "window_mm"),
+        *("exposure.shutter", "exposure.line_time_us"),
+        *(name for name in fields_of("exposure", Exposure) if "flicker" in name),
+        *fields_of("motion", Motion),
+    ),
+    lambda c: "the errors are those of the mean ΔE of a picture that stands still in steady light",
+)
+
+
+def measure_accuracy(
+    source: str, settings: Run, *, quick: bool = False, sensor: str | None = None, variant: str | None = None, progress: Stage
+) -> Accuracy:
+    """Return the result of `accuracy`. Raises PixsimError if the scene cannot be rendered or captured."""
+    start = time.perf_counter()
+    given = Configuration.of(settings, derive(settings.pixel))
+    warn_of_unused_settings({"": [replace(given, own_rules=(NOT_USED, *RULES))]})
+    scene = loaded_scene(source, settings.scene, settings.resolution, settings.display, variant=variant, sensor=sensor)
+    camera = scene.camera(settings.camera, settings.lens)
+    still: dict[str, Any] = {"motion": STILL, "exposure": settings.exposure.steady, "metrics": ("delta_e",)}
+    still |= dict.fromkeys(("tolerance_delta_e", "max_seconds", "window_mm"))
+    demand = demand_of(Case(settings.model_copy(update=still), found=(scene, camera)))
+    light, _ = rendered_light(demand, progress("render"))
+    rungs, reference = climb(demand, light.image.shape[1], QUICK_EFFORTS if quick else EFFORTS, progress("ladder"))
+    return Accuracy(
+        name=scene.path.stem,
+        rungs=rungs,
+        reference=reference,
+        cases=tuple(all_cases(progress("extreme cases"))),
+        header=light.image.header,
+        settings=settings,
+        seconds=time.perf_counter() - start,
+    )
+
+
+def climb(
+    demand: Demand, across: int, efforts: Sequence[float], progress: Progress | None = None
+) -> tuple[tuple[Rung, ...], Rung | None]:
+    """Return the rungs of a ladder and its reference, the same sensor with the same noise on all films.
+
+    across : samples across the film of the default settings, whose effort is 1
+    """
+    camera, imaging = demand.camera, demand.measured[0]
+    ratio = camera.height_mm / camera.die_mm
+    most = largest_film(ratio, demand.plan.planes, math.inf)
+    reference = REFERENCE_OF_CHART if demand.plan.exact and REFERENCE_OF_CHART * across <= most else REFERENCE
+    wanted = [*efforts, *([reference] if reference * across <= most else [])]
+    widths = {effort: fitting_width(ratio, max(LEAST_ACROSS, effort * across), most) for effort in wanted}
+    _measure(demand, imaging, widths[efforts[0]], 1 / efforts[0], None)  # what is compiled now counts for no rung
+    rungs: list[Rung] = []
+    noise: Array | None = None
+    for number, (effort, width) in enumerate(widths.items()):
+        rung, noise = _measure(demand, imaging, width, 1 / effort, noise)
+        rungs.append(rung)
+        if progress:
+            progress((number + 1) / len(widths), "")
+    if len(rungs) == len(efforts):
+        return tuple(rungs), None
+
+    *rungs, finest = rungs
+    errors = [abs(rung.mean_delta_e - finest.mean_delta_e) for rung in rungs]
+    if not finest.stated_delta_e < SURE * min(errors):
+        return tuple(rungs), None
+    return tuple(replace(rung, error_delta_e=error) for rung, error in zip(rungs, errors, strict=True)), finest
+
+
+def _measure(demand: Demand, imaging: Imaging, across: int, noise_times: float, noise: Array | None) -> tuple[Rung, Array]:
+    """Return a rung, and the standard noise of its frame.
+
+    noise_times : as much render noise as asked for
+    noise : of another rung's frame; None draws it
+    """
+    render_noise = noise_times * demand.settings.render_noise
+    asked = replace(demand, settings=demand.settings.model_copy(update={"render_noise": render_noise}))
+    scene = demand.scene.with_resolution(across)
+    plan = demand.plan_of(scene)
+    start = time.perf_counter()
+    with without_warnings():  # the default render gives them
+        image, _ = asked.render(scene, plan, keep=False)
+        image.header |= white_header([SeenPicture(image, imaging.camera, imaging.physics)], imaging.display)
+        (chain,) = chains_of_film([(image, imaging.display)], [None], imaging)
+        if noise is None or noise.shape != chain.signal_e_per_s.shape:
+            noise = standard_noise_of(chain, imaging, 0)
+        mean_delta_e = delta_e_with(chain, noise)
+        seconds = time.perf_counter() - start
+        film = measure_film(image, [imaging], chart=plan.chart)
+    light = LightError.of(image.header, film.as_dict())
+    return Rung(across, render_noise, seconds, mean_delta_e, light), noise
