@@ -66,8 +66,11 @@ def slip_hint(name: str, value: object) -> str:
     slip = SLIPS[name]
     if isinstance(value, bool) or not isinstance(value, int | float):
         return ""
-    converted = value * slip.factor
-    return _hint(name, value) if _is_slip(slip, value, converted) else ""
+    try:
+        number = float(value)
+    except OverflowError:  # an integer of hundreds of digits is no slip
+        return ""
+    return _hint(name, number) if _is_slip(slip, number, number * slip.factor) else ""
 
 
 def unit_slips(pixel: PixelOptions) -> list[str]:

@@ -36,7 +36,7 @@ def test_run_invalid_files_reports_all_errors(tmp_path: Path) -> None:
     assert (code, out) == (2, "")
     expected = [
         rf"{first}: camera.f_number: got 'wide'; .*",
-        rf"{first}: pixel.prnu: got 2; allowed: less than or equal to 0\.3\. 2 % is 0\.02, or prnu_percent = 2\.",
+        rf"{first}: pixel.prnu: got 2; allowed: less than or equal to 0\.3\. In per cent\? Write prnu = 0\.02\.",
         r"pixel.dsnu: got 'much'; .*",
         rf"{first}: pixel.bitz: unknown name; .* Did you mean 'bits'\?",
         rf"{second}: display.dots: got 1; allowed: greater than or equal to 8\.",

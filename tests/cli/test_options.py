@@ -315,7 +315,7 @@ def test_list_without_a_value_beside_a_comma_is_refused(text: str) -> None:
         ("run csf --exposure.max-integration-s 50ms", "allowed: a valid number. Write 0.05, which is in s."),
         ("run csf --exposure.max-integration-s 1/25", "allowed: a valid number. Write 0.04, which is in s."),
         ("run csf --pixel.pitch-um 5.6e-6", "It is in µm, and 5.6e-06 m are 5.6: write 5.6."),
-        ("run csf --pixel.prnu 0.5", "0.5 % is 0.005, or prnu_percent = 0.5."),
+        ("run csf --pixel.prnu 0.5", "In per cent? Write prnu = 0.005."),
         ("run csf --display.white 200", "A luminance of the scene is --display.white-cd-per-m2, a radiance "),
         ("study pixel-size --pitch.values-um 2.4 3.45", "and a list of them as 2.4,3.45 without blanks."),
         ("study pixel-size --scene star.png", "A picture is the chart of a scene: csf with -D chart=star.png."),

@@ -404,8 +404,8 @@ def test_as_dict_and_csv(result: UncertaintyResult) -> None:
     for number, (row, draw) in enumerate(zip(rows, result.sample.draws, strict=True)):
         assert {name: float(row[name]) for name in draw} == draw
         assert float(row["optimum_um"]) == result.table["optimum_um"][number]
-        low_um = result.table["interval_low_um"][number]
-        assert row["interval_low_um"] == ("" if np.isnan(low_um) else str(low_um))
+        low_um = float(result.table["interval_low_um"][number])
+        assert row["interval_low_um"] == ("" if math.isnan(low_um) else str(low_um))
         assert row["smaller than 3 µm"] == str(result.holds["smaller than 3 µm"][number])
 
 
