@@ -147,11 +147,6 @@ def place_bands(lamps: list[Spectrum], surfaces: Array, witnesses: list[Witness]
         edges = np.sort(np.concatenate([edges, (edges[halved] + edges[halved + 1]) / 2]))
 
 
-def equal_bands(count: int, lamps: list[Spectrum], span: Span = VISIBLE) -> Bands:
-    """Return `count` bands of equal width that cover a range."""
-    return _shaped(np.linspace(span.low_nm, span.high_nm, count + 1), lamps)
-
-
 def band_errors(bands: Bands, lamp: tuple[Array, Array, Array], witnesses: list[Witness]) -> Array:
     """Return each band's contribution to the error of each witness's signal, (witnesses, 1 + n surfaces, B).
 

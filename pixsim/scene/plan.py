@@ -296,7 +296,6 @@ def make_render_plan(
     *,
     tolerance_e: float = TOLERANCE_E,
     full: bool = False,
-    band_count: int | None = None,
     exact: bool = False,
     aperture_um: float | None = None,
 ) -> Plan:
@@ -307,7 +306,6 @@ def make_render_plan(
     pixel : the tolerance is for its electrons, or those of several; None takes the packaged response curves
     tolerance_e : relative error of the mean electrons that all decisions together may cause
     full : leave nothing out: every band of every lamp, the scene's integrator, a sampled lens
-    band_count : number of bands of equal width, in place of the bands that the tolerance requires
     exact : whether to compute the film cells of a chart that is alone and in focus, without samples
     aperture_um : side of the smallest photodiode, for which the blur of a real lens is computed; None takes that of the pixel
 
@@ -337,7 +335,7 @@ def make_render_plan(
         raise _unknown_beyond(surfaces)
     integrator, met, bounces = rules.decide_bounces(state, bodies, full)
     lights, bands, full_passes, spectral = _lights(
-        lamps, surfaces, met, _witnesses(seeing), tolerance_e, full, band_count, any(one.colour for one in pixels)
+        lamps, surfaces, met, _witnesses(seeing), tolerance_e, full, any(one.colour for one in pixels)
     )
     by_index, tables = rules.decide_tables(state, full)
     lens, focus = rules.decide_lens(state, seen, bodies, width / height, pixels[0] if pixels else None, tolerance_e, full)
@@ -562,22 +560,12 @@ def _witnesses(derived: Sequence[PixelPhysics]) -> list[Witness]:
 
 
 def _lights(
-    lamps: list[Lamp],
-    surfaces: Surfaces,
-    bounces: int,
-    witnesses: list[Witness],
-    tolerance_e: float,
-    full: bool,
-    band_count: int | None,
-    in_colour: bool,
+    lamps: list[Lamp], surfaces: Surfaces, bounces: int, witnesses: list[Witness], tolerance_e: float, full: bool, in_colour: bool
 ) -> tuple[list[FittedLamp], Bands, int, list[Decision]]:
     """Return the pulses of each lamp, the bands, the number of passes without leaving out any band, and the reasons."""
     spectra = [lamp.spectrum for lamp in lamps if lamp.spectrum]
     met = surfaces.products(bounces) if bounces else surfaces.products(1)[:0]
-    if band_count:
-        bands = spectral_bands.equal_bands(band_count, spectra, surfaces.span)
-    else:
-        bands = spectral_bands.place_bands(spectra, met, witnesses, tolerance_e * BANDS_SHARE, surfaces.span)
+    bands = spectral_bands.place_bands(spectra, met, witnesses, tolerance_e * BANDS_SHARE, surfaces.span)
     known = surfaces.spectra is not None or bounces == 0
     lights, reasons, most, alone = [], [], 0, 0.0
     stiffness = spectral_bands.COLOUR_STIFFNESS if in_colour else spectral_bands.STIFFNESS

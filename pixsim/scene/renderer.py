@@ -244,15 +244,12 @@ class Renderer:
 
     @cached_property
     def tracer(self) -> Tracer:
-        return self.traced(self.job)
-
-    def traced(self, job: TraceJob) -> Tracer:
-        """Return what traces a job: this process if the scene is packaged and has all the time.
+        """What traces the job: this process if the scene is packaged and has all the time.
 
         Else it is a child, which can be killed, and which a failing card may end too.
         """
         own = self.packaged and self.source.choice.processors is None and self.ends_at_s is None
-        return tracer_of(job, own, lambda: self.ends_at_s)
+        return tracer_of(self.job, own, lambda: self.ends_at_s)
 
     def leave_card(self, error: PixsimError) -> None:
         """Trace on the processors from now on, since the graphics card failed. Raises the error where nothing can be changed.

@@ -206,7 +206,7 @@ def rendered_light(demand: Demand, progress: Progress | None = None) -> tuple[Li
         measure=measure,
         fixed=fixed,
         max_seconds=settings.max_seconds,
-        coarser=COARSER if settings.tolerance_delta_e is not None and not fixed else 1,
+        coarser=COARSER if settings.tolerance_delta_e is not None and not (fixed or "resolution" in scene.parameters) else 1,
     )
     if has_target(settings.metrics):
         light = replace(light, without=without_target(demand, light.image.shape[1]))
@@ -314,8 +314,7 @@ def demand_of(case: Case[Run] | Case[Study], *, full: bool = False) -> Demand:
     scene, camera, study = case.scene, case.camera, case.settings
     if isinstance(study, Run):
         planned = partial(plan_of, camera=camera, settings=study, full=full)
-        of_film = partial(planned, film_is_known=study.tolerance_delta_e is not None)
-        return Demand(scene, planned(scene), of_film, study, study.pixel, [Imaging.of(study, camera)])
+        return Demand(scene, planned(scene), planned, study, study.pixel, [Imaging.of(study, camera)])
     first = study.technologies[0]
     scene, plan = first_film(study, scene, camera)
     pitches_um = study_pitches_um(study, first).tolist() if study.options_of(first).colour is not None else []

@@ -223,17 +223,14 @@ def finest_pixel(study: Study) -> PixelPhysics:
     return min(smallest, key=lambda physics: physics.aperture_side_um)
 
 
-def plan_of(scene: Scene, camera: Camera, settings: Run, full: bool = False, *, film_is_known: bool = False) -> Plan:
-    """Return the plan of the render of one frame.
-
-    film_is_known : whether the film of the scene stays, in place of the one that suits the display
-    """
+def plan_of(scene: Scene, camera: Camera, settings: Run, full: bool = False) -> Plan:
+    """Return the plan of the render of one frame."""
     return make_plan(
         scene,
         camera,
         settings.pixel,
         exposure=settings.exposure,
-        display=None if film_is_known else settings.display,
+        display=settings.display,
         tolerance_e=settings.tolerance_e,
         full=full,
     )

@@ -13,7 +13,7 @@ import pixsim
 
 RESULTS = (  # inside other results
     *("studies.result.Curve", "studies.optimum.Optimum", "sensor.technology.Junction", "measure.datasheet.Entry"),
-    *("verification.ladder.Rung"),
+    "verification.ladder.Rung",
 )
 RECORDS = (  # of settings, inside those that pixsim itself has
     *("optics.camera.CameraOptions", "optics.lens_options.LensOptions", "scene.study_scene.StudyScene", "studies.axis.Axis"),
