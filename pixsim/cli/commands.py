@@ -374,8 +374,7 @@ def study(
     from pixsim.report.study import report_files, study_document
     from pixsim.report.uncertainty import uncertainty_files
     from pixsim.show.render import write
-    from pixsim.show.sentences import duration
-    from pixsim.studies.cases import CASE_S, MANY_CASES, MAX_CASES, check_number, number_of_cases
+    from pixsim.studies.cases import MANY_CASES, MAX_CASES, check_number, number_of_cases
     from pixsim.studies.conditions import compromises_of
     from pixsim.studies.cost import fitting_jobs
     from pixsim.studies.engine import Workers, workers_here
@@ -400,7 +399,7 @@ def study(
         folder = out or DEFAULT_OUT / f"{plan.name}{suffix}"
         spreads = uncertainty_of(study, options.config or [], quick)
         if MANY_CASES < (cases := number_of_cases(plan)) <= MAX_CASES:
-            common.verbosity.note(f"{cases} cases are checked, each by itself: about {duration(cases * CASE_S)}")
+            common.verbosity.note(f"{cases} cases are checked, each by itself")
         job = replace(prepare(plan, variant), uncertainty=spreads)
         asked, types = asked_of(uncertainty, sobol, smaller_than or (), spreads), 0
         if asked is not None:
