@@ -312,7 +312,9 @@ def study(
         bool | None,
         Parameter(help="Add sizes and sensors where an interval is open [default: that of the study].", negative="--no-refine"),
     ] = None,
-    quick: Annotated[bool, Parameter(help="Fewer pitches and sensors, by the file NAME.quick.toml next to the study's.")] = False,
+    quick: Annotated[
+        bool, Parameter(help="Fewer pitches and sensors: by NAME.quick.toml next to the study's file, or 8 and 4.")
+    ] = False,
     jobs: Annotated[int | None, Parameter(help="Number of processes [default: one per core]; results do not depend on it.")] = None,
     scheduler: Scheduler = None,
     axis: Annotated[

@@ -22,7 +22,8 @@ SET_BY_STUDY = ("pitch_um", "technology")  # fields of a pixel that a study sets
 REPLACED_RANGE = {"values_um": ("min_um", "max_um", "count", "min_fill_factor"), "min_um": ("min_fill_factor",)}
 
 
-STUDY_ONLY = Study.model_fields.keys() - Run.model_fields.keys()
+# Names of settings that a sensor's file does not have; those of earlier versions are refused with what takes their place.
+STUDY_ONLY = (Study.model_fields.keys() - Run.model_fields.keys()) | {"base", "quick"}
 
 
 def has_study_settings(table: dict[str, Any]) -> bool:
