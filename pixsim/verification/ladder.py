@@ -50,6 +50,7 @@ class Rung:
     across : samples of the film
     render_noise : its target, as a fraction of the sensor's noise; a film of twice the samples across has half of it
     seconds : of render and score
+    mean_delta_e : of the sensor
     light : errors that pixsim states by itself
     error_delta_e : difference from the reference; NaN without one
     """
