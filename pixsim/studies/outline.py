@@ -19,6 +19,7 @@ from pixsim.studies.sampling import study_pitches_um
 from pixsim.studies.sensor_types import drawn_metrics
 
 if TYPE_CHECKING:
+    from pixsim.scene.plan import Plan
     from pixsim.studies.preparation import StudyJob
     from pixsim.studies.run import RunJob
 
@@ -28,6 +29,7 @@ def planned_run(prepared: RunJob) -> dict[str, Any]:
     settings, camera, frames, repeats = prepared.settings, prepared.camera, prepared.frames, prepared.repeats
     pitch_um, picture = settings.pixel.pitch_um, prepared.cases[0].picture
     planned: dict[str, Any]
+    plan: Plan | None
     if picture is not None:
         plan, shape = None, (picture.shape[0], picture.shape[1])
         planned = {"film": {"samples": list(picture.shape), "pitch_um": picture.pitch_um}}
