@@ -22,8 +22,6 @@ from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.technology import Junction, Technology, load_technology
 from pixsim.verification.stability import QUIET, ROUNDING, ExtremeCase, compare, compare_drawn
-from pixsim.viewer.causes import causes_of, codes_to_white
-from pixsim.viewer.display_options import Display
 
 PITCHES_UM = (0.3, 1.0, 6.5, 40.0, 100.0)
 TIMES_S = 10.0 ** np.array([-9.0, -6.0, -3.0, 0.0, 3.0, math.log10(36_000)])
@@ -34,7 +32,7 @@ BOLTZMANN_J_PER_K, ELECTRON_C = 1.380649e-23, 1.602176634e-19
 
 def cases() -> Iterator[ExtremeCase]:
     physical = _pitches, _fill_factors, _grids, _times, _dark_current, _saturated
-    for group in (*physical, _converters, few_codes, gains, _temperatures, _fixed_patterns, stacks):
+    for group in (*physical, _converters, gains, _temperatures, _fixed_patterns, stacks):
         yield from group()
 
 
@@ -51,10 +49,6 @@ def frame(
 
 
 def _pitches() -> Iterator[ExtremeCase]:
-    got = [integrate_pixels(np.full((8, 8), 3.0), pitch / 2, pitch, math.sqrt(0.4) * pitch).sum() for pitch in PITCHES_UM]
-    expected = [16 * 3 * 0.4 * pitch**2 for pitch in PITCHES_UM]
-    source = "16 pixels · 3 · FF · pitch²; rounding"
-    yield compare("electrons of uniform light, pitch 0.3 … 100 µm", expected, got, ROUNDING, source)
     # The full well of a pinned photodiode is proportional to its area; a junction has area, sidewall and node capacitance.
     pinned = load_technology("4t-bsi").full_well_e_per_um2 or 0.0
     wells = [physics_of(technology="4t-bsi", pitch_um=pitch).full_well_e for pitch in PITCHES_UM]
@@ -81,9 +75,6 @@ def _junction_ff(j: Junction, area_um2: float, v: ArrayLike) -> Array:
 
 
 def _fill_factors() -> Iterator[ExtremeCase]:
-    picture = np.random.default_rng(0).uniform(0.5, 1.5, (60, 60))
-    full = integrate_pixels(picture, 1.0, 2.5, 2.5)
-    yield compare("FF 1: electrons of all pixels", picture.sum(), full.sum(), ROUNDING, "conservation")
     # The limit is the picture's value at the pixel's centre, which for a linear picture is also the mean.
     rows, columns = np.mgrid[0:60, 0:60] + 0.5
     plane = 1 + rows / 60 + 2 * columns / 60
@@ -99,16 +90,10 @@ def _fill_factors() -> Iterator[ExtremeCase]:
 
 
 def _grids() -> Iterator[ExtremeCase]:
-    one = integrate_pixels(np.full((1, 1), 7.0), 0.3, 0.3, 0.3)
-    yield compare("1 × 1 pixel on 1 × 1 sample of 0.3 µm", 7.0 * 0.09, one, ROUNDING, "value · area")
     physics = physics_of(pitch_um=0.3, technology="4t-bsi", full_well_e=1000, bits=12)
     codes = frame(physics, 500.0, shape=(1, 1))
     spread = math.sqrt(500.0) * physics.dn_per_e
     yield compare_drawn("1 × 1 pixel: its code", 4095 / 2, codes, spread, "half of the full well ± shot noise")
-    strip = np.random.default_rng(1).uniform(0.5, 1.5, (20_000, 3))
-    got = integrate_pixels(strip, 0.3, 0.3, 0.3)
-    source = "the samples themselves, one per pixel; rounding of a running sum of 20 000, 4e-12"
-    yield compare("20 000 × 3 pixels of 0.3 µm", strip * 0.09, got, 1e-10, source)
     column = frame(replace(physics, column_fpn_e=20.0), 500.0, shape=(20_000, 3)).mean(axis=0)
     alone = np.random.default_rng(0).standard_normal((1, 3))[0] * 20.0
     expected = (500 + alone) * physics.dn_per_e
@@ -226,31 +211,6 @@ def _converters() -> Iterator[ExtremeCase]:
     variance = 0.5e12 * ((2**24 - 1001) / 1e12) ** 2 + 1 / 12
     error = variance * math.sqrt(2 / codes.size)
     yield compare_drawn("zero read noise, 24 bits: variance", variance, codes.var(), error, "shot noise + 1/12")
-
-
-def few_codes() -> Iterator[ExtremeCase]:
-    """An ADC whose steps are coarser than the picture is named as the cause of its ΔE."""
-    coarse = physics_of(full_well_e=1e9, bits=12)
-    codes = frame(coarse, 1e4)
-    yield compare("well of 1e9 e-, 12 bits, 10 000 e-: every code", 0.0, codes, 0.0, "0.04 of a step, 1100 σ below half of one")
-    signals_e = 10.0 ** np.arange(-3, 6)
-    name, source = "codes to white if named as the cause, well of 1e9 e-, 12 bits, 0.001 to 1e5 e-", "electrons over a step"
-    yield compare(name, signals_e * 4095 / 1e9, [_named_codes(coarse, e) for e in signals_e.tolist()], ROUNDING, source)
-    blacks = np.array([1016.0, 1020.0, 1022.0, 1022.5])
-    high = [physics_of(full_well_e=1e4, bits=10, black_level_dn=black) for black in blacks.tolist()]
-    got = [_named_codes(physics, 1e5) for physics in high]
-    yield compare("codes to white if named as the cause, black level at the top", 1023 - blacks, got, ROUNDING, "top less black")
-    full = [frame(physics, 1e5, shape=(4, 4)) for physics in high]
-    yield compare("black level at the top, ten full wells: every code", 1023.0, full, 0.0, "exactly the top code")
-    enough = [physics_of(full_well_e=1e4, bits=10, black_level_dn=black) for black in (0.0, 1015.0)]
-    got = [_named_codes(physics, 1e5) for physics in enough]
-    yield compare("eight codes and more are not named", -1.0, got, 0.0, "exactly -1, for no cause")
-
-
-def _named_codes(physics: PixelPhysics, white_e: float) -> float:
-    """Codes from black to white, if they are named as the only cause; -1 if no cause is named."""
-    causes = causes_of({}, Display(), physics, white_e, 0.01, (0.0, 100.0))
-    return codes_to_white(physics, white_e, 0.01) if len(causes) == 1 else -1.0
 
 
 def gains() -> Iterator[ExtremeCase]:
