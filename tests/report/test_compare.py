@@ -223,7 +223,7 @@ def test_headline_says_that_a_render_is_too_noisy() -> None:
     pair = [1.0, 1.01], [1.2, 1.21]
 
     def of(*fractions: float) -> Averaged:
-        noises = tuple({"fraction": fraction, "target": 0.2} for fraction in fractions)
+        noises = tuple({"fraction": fraction, "target": 0.2, "delta_e": 0.1 * fraction} for fraction in fractions)
         return Averaged(((1.0, observed({CHOSEN: pair}, noises=noises)),))
 
     worst = "not converged: render noise is 2.4 of the sensor's noise, target 0.2"

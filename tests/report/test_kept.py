@@ -115,7 +115,6 @@ CHANGES: dict[str, Callable[[StudyResult], StudyResult]] = {
     "the film's error": lambda result: replace(result, film=None),
     "settings.toml": lambda result: replace(result, settings_toml=result.settings_toml + "\n"),
     "a warning": lambda result: replace(result, warned=(*result.warned, "mind this")),
-    "an error budget": lambda result: replace(result, budget={"tolerance": 0.1}),
     "the case of an axis": lambda result: of_cases(result),
     "sensor types": lambda result: replace(result, uncertainty=(result.curves[0].fit.optimum,)),
 }
@@ -196,7 +195,7 @@ def test_keep_or_write_other_code_is_written(
 
 def test_digest_of_report_unknown_kind_raises(made: tuple[StudyResult, Path]) -> None:
     with pytest.raises(TypeError, match="a report made from object"):
-        digest_of_report(replace(made[0], budget={"what": object()}))
+        digest_of_report(replace(made[0], uncertainty=(object(),)))
 
 
 # --- commands ---

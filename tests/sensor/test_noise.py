@@ -76,8 +76,8 @@ def test_a_new_source_stands_in_every_closed_form(is_temporal: bool, along: Any,
     physics = derive(Pixel(**SHEET | {"read_noise_e": 0.0}))
     new = NoiseSource("a new source", lambda _: 30.0, is_temporal=is_temporal, along=along)
     before = {name: number(physics) for name, number in CLOSED_FORMS.items()}
-    for module in ("noise", "plan", "sight"):
-        place = {"noise": "pixsim.sensor", "plan": "pixsim.scene", "sight": "pixsim.studies"}[module]
+    for module in ("noise", "plan"):
+        place = {"noise": "pixsim.sensor", "plan": "pixsim.scene"}[module]
         monkeypatch.setattr(f"{place}.{module}.SOURCES", (*SOURCES, new))
     added = {name: number(physics) - before[name] for name, number in CLOSED_FORMS.items()}
     temporal_only = {"noise floor", "temporal variance"}

@@ -22,7 +22,7 @@ from pixsim.optics.camera_lens import LENS_HEADER, Tiling, traced_lens
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.sensor.integration import pixels_on
 from pixsim.show.document import Table
-from pixsim.studies import evaluations, oversampling
+from pixsim.studies import evaluations, film_error
 from pixsim.studies.averages import Averaged
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.lineup import Lineup, pixels_of, prepare
@@ -368,8 +368,8 @@ class NoFilm:
 
 def test_film_of_each_sensor_is_measured_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The render and the difference measure the same parts of so small a picture; the next comparison measures none."""
-    measured, steps = [], oversampling.film_steps
-    monkeypatch.setattr(oversampling, "film_steps", lambda *own: measured.append(own) or steps(*own))
+    measured, steps = [], film_error.film_steps
+    monkeypatch.setattr(film_error, "film_steps", lambda *own: measured.append(own) or steps(*own))
     files = [sheet(tmp_path / "a.toml"), sheet(tmp_path / "b.toml", 12.0, 15.0, "[64, 48]")]
     first, again = (
         pixsim.compare(files, parameters={"luminance_cd_per_m2": 31.0}, repeats=2, jobs=1, **MEASURED) for _ in range(2)

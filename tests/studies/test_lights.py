@@ -36,8 +36,8 @@ def test_dimmer_light_is_that_of_a_render_of_its_own_with_the_film_of_the_bright
     assert dim.film == bright.film
     assert dim.image.header == alone.image.header
     assert (dim.image.planes == alone.image.planes).all()
-    # On so few dots the measured error scatters by a factor of two.
-    assert alone.film.largest_delta_e < 2 * bright.film.largest_delta_e
+    # On so few dots the measured error scatters by factors: with a tenth of the tolerance in most light it stays within it.
+    assert 0.0 < alone.film.largest_delta_e < 0.5 * min(alone.film.tolerated_delta_e)
 
 
 def test_film_that_is_not_fine_enough_by_far_is_measured_in_each_light() -> None:

@@ -311,7 +311,7 @@ SIZES = [6.0, 7.0, 8.0, 9.0, 10.0]
         ({"max_repeats": 16, "max_evaluations": 5000}, set()),
         ({"refine": False, "target_ci_um": 0.1}, {"refine"}),
         ({"max_repeats": 16, "max_evaluations": 5000, "target_ci_um": 0.1}, set()),
-        ({"tolerance_delta_e": 0.01, "repeats": 4, "max_repeats": 16, "render_noise": 0.1}, {"max_repeats", "render_noise"}),
+        ({"tolerance_delta_e": 0.01, "repeats": 4, "max_repeats": 16, "render_noise": 0.1}, {"render_noise"}),
         ({"repeats": 4, "render_noise": 0.1, "tolerance_e": 1e-4, "max_seconds": 60.0, "window_mm": 1.0}, set()),
         ({"metrics": ["npwe"], "metric": {"detectability": {"without": {"contrast": 0.5}}}}, set()),
         ({"metrics": ["npwe"], "metric": {"detectability": {"registrations": 4}}}, set()),
