@@ -377,7 +377,7 @@ def study(
     from pixsim.report.uncertainty import uncertainty_files
     from pixsim.show.render import write
     from pixsim.studies.cases import MANY_CASES, MAX_CASES, check_number, number_of_cases
-    from pixsim.studies.conditions import compromises_of
+    from pixsim.studies.conditions import condition_regrets
     from pixsim.studies.cost import fitting_jobs
     from pixsim.studies.engine import Workers, workers_here
     from pixsim.studies.preparation import prepare
@@ -421,7 +421,7 @@ def study(
                 stage("report")
                 first = result.cases[0]
                 drawing = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()
-                found = compromises_of(result.study, result.curves)
+                found = condition_regrets(result.study, result.curves)
 
                 def write_report() -> Path:
                     return write(study_report(result, found, seconds, drawing, figures), folder, {"seconds": seconds}, figures)

@@ -57,7 +57,6 @@ from pixsim.studies.study_settings import Study
 from pixsim.studies.uncertainty import FEW_SENSORS
 from pixsim.studies.varied import paths_of
 from pixsim.studies.verdicts import answers, conditions_line, facts, sensor_words, shown_probability
-from pixsim.studies.viewing import OF_VIEWING, Viewed
 from pixsim.viewer.develop_options import TONE_CURVES
 from pixsim.viewer.setting import Run
 
@@ -111,7 +110,7 @@ def _cost_of(lineup: Lineup, repeats: int) -> Cost:
     seconds, largest = 0.0, 0.0
     for sensor in lineup.cases:
         demand = lineup.demand(sensor, lineup.film_width)
-        frame = frame_cost(sensor.camera, sensor.settings.pixel.pitch_um, *lineup.displays.values())
+        frame = frame_cost(sensor.camera, sensor.settings.pixel.pitch_um, *lineup.different_displays)
         cores = processors().usable
         seconds += render_seconds(demand.plan, demand.shape, cores) + repeats * frame.seconds / cores
         largest = max(largest, render_bytes(demand.plan, demand.shape) + frame.memory_bytes)
@@ -183,7 +182,8 @@ def settings_files(prepared: ComparisonJob) -> dict[str, str]:
     if prepared.conditions and prepared.study is not None:
         texts = {SETTINGS_FILE: settings_table_text(_study_table(prepared, prepared.study), command)}
     else:
-        first, chosen = prepared.base[0], set(OF_VIEWING) - set(prepared.shown.viewing.stated)
+        first = prepared.base[0]
+        chosen = {"dots"} - first.display.model_fields_set
         scene = scene_table(prepared.shown.cases[0].scene.path.parent, first.scene)
         display = first.display.model_dump(mode="json", exclude_none=True, exclude=chosen)
         text = settings_text(first, command, scene=scene, display=display, camera={}, lens={}, pixel={}, exposure={})
@@ -284,8 +284,8 @@ MATRIX = (
 )
 DETAIL = "The detail where the errors of the sensors differ most: the ideal image, the sensor's picture, and its errors."
 CASES = (
-    "Each case is a comparison of its own, with its own display, film and range of viewing. A sensor is called better where it is "
-    "so in the whole range."
+    "Each case is a comparison of its own, with its own display and film. Neither sensor is called better where that depends on "
+    "the display."
 )
 
 
@@ -330,7 +330,7 @@ def _sections(result: Comparison, pngs: Mapping[str, bytes], end: float, rows_fi
     types = ("difference of mean ΔE", "sensor types", f"{better} (95 % interval)", "5 %", "median", "95 %", "unknown")
     unknown = Table("differences over sensor types", types, map(_unknown, result.uncertainty), words=(6,))
     yield Section("unknown", "What is not known of the sensors", [UNKNOWN_TYPES, unknown] if result.uncertainty else ())
-    yield Section("viewing", "Viewing", _viewing_blocks(result))
+    yield Section("displays", "Displays", _display_blocks(result))
     colours = [(c.name, colour_rows(c.colour, c.score.out_of_gamut)) for c in shown.sensors if c.colour]
     tables = [Table(f"colours of {name}", (), rows, name, words=None) for name, rows in colours]
     yield Section("colour", f"Colour{where}", [MATRIX, *tables] if tables else ())
@@ -363,22 +363,18 @@ def _condition_blocks(result: Comparison, pair_head: tuple[str, ...]) -> Iterato
     )
 
 
-def _viewing_blocks(result: Comparison) -> Iterator[Block]:
-    """Yield the differences under each viewing."""
-    names, viewing = result.names, result.shown.lineup.viewing.words
+def _display_blocks(result: Comparison) -> Iterator[Block]:
+    """Yield the differences on each display."""
+    names = result.names
     mean = "; the weighted mean over the conditions" if result.conditions else ""
-    pairs = " for all, and for two sensors between the dots of these two" if len(names) > 2 else ""
     yield (
-        f"Frames do not depend on the display. The same frames are scored on other displays and from other distances{mean}. A "
-        f"sensor is called better without a condition only where it is so in the whole range: {viewing}{pairs}."
+        "Frames do not depend on the display. The same frames are scored on the stated display, and on displays with half and with "
+        f"twice its dots{mean}. Which sensor is better depends on the display where it is another one there."
     )
-    head = (
-        *("dots across", "dots per degree", "width of the picture", "difference of mean ΔE", "95 % interval"),
-        *("film's error, at most", "better"),
-    )
+    head = ("dots across", "width of the picture", "difference of mean ΔE", "95 % interval", "film's error, at most", "better")
     for other in names[1:]:
         name = f"{other} − {names[0]}"
-        yield Table(f"difference under each viewing: {name}", head, _view_rows(result, other), name, words=(6,))
+        yield Table(f"difference on each display: {name}", head, _display_rows(result, other), name, words=(5,))
 
 
 def cases_document(result: ComparedCases) -> Document:
@@ -455,20 +451,16 @@ def _unknown(found: PairUncertainty) -> tuple[str, ...]:
     )
 
 
-def _view_rows(result: Comparison, other: str) -> list[tuple[str, ...]]:
-    """Return the rows of the page's table of a difference under each viewing, by the dots per degree and the dots."""
+def _display_rows(result: Comparison, other: str) -> list[tuple[str, ...]]:
+    """Return the rows of the page's table of a difference on each display."""
     better = {1: result.names[0], -1: other, 0: "not told apart"}
-
-    def row(view: Viewed) -> tuple[str, ...]:
-        return (
-            str(view.viewing.dots),
-            f"{view.viewing.samples_per_deg:g}",
-            f"{view.viewing.dots / view.viewing.samples_per_deg:.3g}°",
-            *difference_cells(view.difference, view.interval_delta_e, view.film_delta_e),
-            better[view.sign] + ("" if view.inside else " (another display than stated)"),
-        )
-
-    return [row(view) for view in sorted(result.views(other), key=lambda view: view.viewing[::-1])]
+    samples_per_deg = result.shown.lineup.settings.display.samples_per_deg
+    rows: list[tuple[str, ...]] = []
+    for difference in result.display_differences(other):
+        numbers = difference_cells(difference.difference, difference.interval_delta_e, difference.film_delta_e)
+        words = "hidden by the film's error" if difference.is_hidden_by_film else better[difference.sign]
+        rows.append((str(difference.dots), f"{difference.dots / samples_per_deg:.3g}°", *numbers, words))
+    return rows
 
 
 def _settings(result: Comparison) -> Iterator[Table]:

@@ -15,10 +15,11 @@ from pixsim.base.toml import SETTINGS_FILE
 from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.paper import PAPER_PLATES, map_plates, numbered, scene_plates
 from pixsim.report.pictures import size_words
+from pixsim.report.regret import REGRETS, metrics_against_pitch, regrets_plate
 from pixsim.report.settings import record_rows, scene_rows, settings_table, settings_tables
 from pixsim.report.uncertainty import uncertainty_blocks, uncertainty_document
 from pixsim.report.views import SENSORS_SHOWN, Views, best_place, map_end, study_pictures, study_views
-from pixsim.report.wording import DELTA_E, blur_words, compromise_answer, rendered_words
+from pixsim.report.wording import DELTA_E, blur_words, rendered_words, weighted_answer
 from pixsim.sensor.labels import file_label, labels_of
 from pixsim.show.document import (
     Block,
@@ -42,9 +43,7 @@ from pixsim.show.pages import Column, Drawn, Figures, Plate, figure_files
 from pixsim.show.pictures import scale
 from pixsim.show.render import lines
 from pixsim.show.sentences import capital
-from pixsim.studies.agreement import agreement_of, judges_against_pitch, metrics_against_pitch
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, findings
-from pixsim.studies.conditions import Compromise
 from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.extent import csf_range_lp_per_mm
 from pixsim.studies.merit import (
@@ -57,6 +56,7 @@ from pixsim.studies.merit import (
     system_mtf,
 )
 from pixsim.studies.quanta import NEQ, neq_against_frequency, quanta_of_study
+from pixsim.studies.regret import Regrets, metric_regrets
 from pixsim.studies.result import (
     Curve,
     StudyResult,
@@ -223,8 +223,8 @@ def draw_section(
 
 def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
     plates = [delta_e_against_pitch(result, [first])]
-    if agreement_of(first) is not None:
-        plates.append(judges_against_pitch(first))
+    if regrets := metric_regrets(first):
+        plates.append(regrets_plate(regrets, first.pitch_um))
     if len(first.metrics) > 1:
         plates.append(metrics_against_pitch(first))
     if quanta := quanta_of_study(result):
@@ -259,7 +259,7 @@ def report_files(study: Study) -> set[str]:
     labels = [file_label(label) for label in labels_of(study.technologies)]
     curves = (curve_file(name, study.paper) for name in FIGURE_NUMBERS)
     pictures = (f"pictures_{label}" for label in labels)
-    plates = {*curves, "judges", "metrics", NEQ, "other_statistics", "light_against_detail", *pictures}
+    plates = {*curves, REGRETS, "metrics", NEQ, "other_statistics", "light_against_detail", *pictures}
     plates |= set(PAPER_PLATES) if study.paper else set()
     plates |= {NAME} if study.noise_budget else set()
     sheets = (f"figures/contact_sheet_{label}.png" for label in labels)
@@ -276,16 +276,18 @@ def study_document(result: StudyResult, warned: Collection[str] = ()) -> Documen
 
 
 def document_of(
-    result: StudyResult, data: dict[str, Any], compromises: Sequence[Compromise], facts: Sequence[Block], warned: Collection[str]
+    result: StudyResult, data: dict[str, Any], regrets: Sequence[Regrets], facts: Sequence[Block], warned: Collection[str]
 ) -> Document:
     """Return the document of a study, without the figures and pictures of its page.
 
-    compromises : between its conditions
+    regrets : of its conditions
     facts : further ones
     warned : notes that a reader of the terminal has seen
     """
     optima = (headline(optimum_parts(curve)) for curve in result.curves if not curve.alone)
-    answers = [*map(compromise_answer, compromises), *optima]
+    first = result.curves[0].metric.name
+    by_first_metric = [found for found in regrets if found.criteria[0].metric.name == first]
+    answers = [*map(weighted_answer, by_first_metric), *optima]
     left = len(answers) - ANSWERS_SHOWN
     more = [Fact(f"and {left} more: optima.csv")] if left > 0 else []
     lead = [*more, *study_facts(result), *facts, *uncertainty_blocks(result.uncertainty)]

@@ -7,16 +7,16 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from pixsim.optics.camera import Camera
-from pixsim.show.document import Answer, Strong, headline, joined
+from pixsim.show.document import Answer, Strong, joined
 from pixsim.show.sentences import interval
-from pixsim.studies.conditions import Compromise
+from pixsim.studies.conditions import weighted_criterion
 from pixsim.studies.merit import detail_terms
+from pixsim.studies.regret import Regrets
 from pixsim.viewer.display_options import Display
 
 if TYPE_CHECKING:
     from pixsim.light.spectral import SpectralImage
     from pixsim.sensor.pixel import PixelPhysics
-    from pixsim.viewer.metrics import Metric
 
 DELTA_E = (
     "ΔE is the visible difference between a sensor's picture and that of an ideal camera: the CIELAB colour difference after the "
@@ -40,23 +40,16 @@ def rendered_words(header: Mapping[str, Any]) -> str:
     return f"{header['scene']} (hash {header['scene_hash']}), {rays}, {header['variant']}"
 
 
-def compromise_answer(found: Compromise) -> Answer:
-    """Return the pixel sizes that suit all conditions, with their intervals; none where the conditions share too few sizes."""
-    if found.best is None or found.regret is None:
-        return Answer(f"{found.label}: the conditions share too few pixel sizes for one that suits all")
-    best, regret = found.best, found.regret
-    weighted, worst = ((Strong(f"{size.pitch_um:.2f} µm"), f" (95 %: {interval(size.interval_um)})") for size in (best, regret))
-    metric = found.metric
+def weighted_answer(regrets: Regrets) -> Answer:
+    """Return the pixel size with the best weighted mean over conditions; that there is none where they share too few sizes."""
+    weighted = weighted_criterion(regrets)
+    if weighted is None:
+        return Answer(f"{regrets.label}: the conditions share too few pixel sizes for one that suits all")
+    best, metric = weighted.optimum, weighted.metric
     value = f"{best.value:.3f}" if metric.is_delta_e else metric.shown(best.value)
-    first = joined([f"{found.label}: {weighted_words(metric)} {value} at ", weighted], "")
-    least = f"least worst regret {metric.shown(regret.delta_e)}, in {regret.condition}, at "
-    return headline([first, joined([least, worst], "")])
-
-
-def weighted_words(metric: Metric) -> str:
-    """Return the best weighted mean of a metric in words: "least weighted mean ΔE", "greatest weighted information"."""
     first, _, words = metric.best.partition(" ")
-    return f"{first} weighted {words}"
+    label = f"{regrets.label}: {first} weighted {words} {value} at "
+    return Answer(joined([label, (Strong(f"{best.pitch_um:.2f} µm"), f" (95 %: {interval(best.interval_um)})")], ""))
 
 
 def blur_words(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display, path_um: float = 0.0) -> str:

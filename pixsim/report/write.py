@@ -18,7 +18,7 @@ from pixsim.show.pages import Figures
 from pixsim.show.render import write
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.comparison_cases import ComparedCases
-from pixsim.studies.conditions import compromises_of
+from pixsim.studies.conditions import condition_regrets
 from pixsim.studies.result import StudyResult
 from pixsim.studies.run import RunResult
 
@@ -67,4 +67,4 @@ def _page(
         return comparison_page(result, folder)
     if isinstance(result, ComparedCases):
         return cases_document(result)
-    return study_report(result, compromises_of(result.study, result.curves), seconds, figures=figures)
+    return study_report(result, condition_regrets(result.study, result.curves), seconds, figures=figures)

@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,10 +16,10 @@ from pixsim.base.headline import NOT_CONVERGED
 from pixsim.light.spectral import SpectralImage
 from pixsim.show.sentences import with_error
 from pixsim.studies.cases import Case
+from pixsim.studies.displays import DisplayDifference
 from pixsim.studies.film_error import FilmError, FilmSteps
 from pixsim.studies.lineup import Lineup
 from pixsim.studies.paired import mean_interval, probability_above_zero
-from pixsim.studies.viewing import Viewed
 from pixsim.viewer.causes import Cause, causes_of, lightness_range
 from pixsim.viewer.light_error import LightError
 from pixsim.viewer.score import FrameScore, clip_words, clips_dark
@@ -29,8 +28,8 @@ from pixsim.viewer.setting import Run
 if TYPE_CHECKING:
     from pixsim.scene.convergence import RenderNoise
 
-# Of the film's error on the chosen display, grown with mean ΔE: of 48 viewings of six comparisons, 46 errors are within it.
-ELSEWHERE = 2.0
+# Of the film's error on the stated display, grown with mean ΔE: on 46 of 48 other displays of six comparisons it is within this.
+OTHER_DISPLAY_FACTOR = 2.0
 
 
 @dataclass(frozen=True)
@@ -39,12 +38,12 @@ class Compared:
 
     irradiance : light on the sensor, before diffraction
     score : of its first frame
-    viewed : (viewings, repeats) mean ΔE of each frame, in the order of `ViewingRange.viewings`
+    on_displays : (displays, repeats) mean ΔE of each frame, in the order of `Lineup.displays`
     dark : effect of clipping dark pixels at 0 DN, as `pixsim.viewer.score.dark_clip`
     white_e : mean electrons of the scene's white on axis in its first frame
     steps : on this film and on coarser ones, for the film's error of a difference
     colour : channels, matrix and noise gains, as in score.json; None for a monochrome sensor
-    judged : (repeats,) of each further metric, by its name, on the chosen display
+    judged : (repeats,) of each further metric, by its name, on the stated display
     """
 
     sensor: Case[Run]
@@ -52,7 +51,7 @@ class Compared:
     noise: RenderNoise
     film: FilmError
     score: FrameScore = field(repr=False)
-    viewed: Array = field(repr=False)
+    on_displays: Array = field(repr=False)
     dark: dict[str, float] = field(repr=False)
     white_e: float
     steps: FilmSteps = field(repr=False)
@@ -74,8 +73,8 @@ class Compared:
 
     @property
     def delta_e(self) -> Array:
-        """Mean ΔE of each frame on the chosen display, (repeats,)."""
-        return np.asarray(self.viewed[0])
+        """Mean ΔE of each frame on the stated display, (repeats,)."""
+        return np.asarray(self.on_displays[0])
 
     @property
     def film_delta_e(self) -> float | None:
@@ -145,20 +144,20 @@ class Averaged:
         return self
 
     @property
-    def viewed(self) -> dict[str, Array]:
-        """Mean ΔE of each frame of each sensor under each viewing, (viewings, repeats).
+    def on_displays(self) -> dict[str, Array]:
+        """Mean ΔE of each frame of each sensor on each display, (displays, repeats), the stated one first.
 
         With conditions, that of frame k is the weighted mean over the frames k of all conditions. They have the same seeds, so that
         the scatter of these means holds what the conditions' frames have in common.
         """
-        weighted = [(weight, {each.name: each.viewed for each in part.sensors}) for weight, part in self.parts if weight]
+        weighted = [(weight, {each.name: each.on_displays for each in part.sensors}) for weight, part in self.parts if weight]
         return {name: np.sum([weight * own[name] for weight, own in weighted], axis=0) for name in self.names}
 
     @property
     def judged(self) -> dict[str, dict[str, Array]]:
-        """Further metrics by their names, each in its unit: of each frame of each sensor on the chosen display, (repeats,).
+        """Further metrics by their names, each in its unit: of each frame of each sensor on the stated display, (repeats,).
 
-        With conditions, the weighted mean, as of `viewed`.
+        With conditions, the weighted mean, as of `on_displays`.
         """
         weighted = [(weight, {each.name: each.judged for each in part.sensors}) for weight, part in self.parts if weight]
         metrics = self.sensors[0].judged
@@ -169,8 +168,8 @@ class Averaged:
 
     @property
     def delta_e(self) -> dict[str, Array]:
-        """Mean ΔE of each frame of each sensor on the chosen display, (repeats,)."""
-        return {name: np.asarray(values[0]) for name, values in self.viewed.items()}
+        """Mean ΔE of each frame of each sensor on the stated display, (repeats,)."""
+        return {name: np.asarray(values[0]) for name, values in self.on_displays.items()}
 
     @property
     def scores(self) -> dict[str, tuple[float, float, float]]:
@@ -179,7 +178,7 @@ class Averaged:
 
     @property
     def differences(self) -> dict[str, Array]:
-        """ΔE(b) - ΔE(a) of each pair of frames on the chosen display, (repeats,), of each later sensor."""
+        """ΔE(b) - ΔE(a) of each pair of frames on the stated display, (repeats,), of each later sensor."""
         of_pairs = {other: self.pair(other).delta_e for other in self.names[1:]}
         return {other: own[other] - own[self.names[0]] for other, own in of_pairs.items()}
 
@@ -218,53 +217,25 @@ class Averaged:
         return sum_if_known(errors)
 
     @checks_arguments
-    def views(self, other: str) -> tuple[Viewed, ...]:
-        """Return the difference of the first sensor and another one under each viewing, the chosen one first.
+    def display_differences(self, other: str) -> tuple[DisplayDifference, ...]:
+        """Return the difference of the first sensor and another one on each display, the stated one first.
+
+        The film's error is measured on the stated display. On others twice it is taken, and more where mean ΔE is larger.
 
         other : name of the other one
         """
-        return self.pair(other).views_between(self.names[0], other)
+        pair = self.pair(other)
+        film = pair.film_between(self.names[0], other)
+        first, second = pair.on_displays[self.names[0]], pair.on_displays[other]
+        largest = np.maximum(first.mean(axis=1), second.mean(axis=1))
+        growth = np.maximum(largest / largest[0], 1.0) if largest[0] else np.ones(largest.size)
+        factors = np.append(1.0, OTHER_DISPLAY_FACTOR * growth[1:])
 
-    @checks_arguments
-    def views_between(self, one: str, other: str) -> tuple[Viewed, ...]:
-        """Return the difference of two sensors under each viewing of all, the chosen one first.
-
-        The film's error is measured on the chosen display. On others twice it is taken, and more where mean ΔE is larger.
-
-        one, other : names of the sensors
-        """
-        viewed, film, viewing_range = self.viewed, self.film_between(one, other), self.shown.lineup.viewing
-        first, second = viewed[one], viewed[other]
-        mean = np.maximum(first.mean(axis=1), second.mean(axis=1))
-        grown = np.append(1.0, ELSEWHERE * np.maximum(mean[1:] / mean[0], 1.0) if mean[0] else np.full(mean.size - 1, ELSEWHERE))
-        views = []
-        for number, (viewing, values) in enumerate(zip(viewing_range.viewings, second - first, strict=True)):
+        found = []
+        for display, values, factor in zip(pair.shown.lineup.displays, second - first, factors, strict=True):
             numbers = float(values.mean()), mean_interval(values)[::2], probability_above_zero(values)
-            error = None if film is None else film * float(grown[number])
-            views.append(Viewed(viewing, viewing_range.holds(viewing), *numbers, error))
-        return tuple(views)
-
-    @property
-    def ranking(self) -> tuple[tuple[str, ...], ...]:
-        """The sensors by their mean ΔE, the best first, in groups; all of them on one display.
-
-        Each one of a group is surely better than each one of a later group, under all viewings of the range. Within a group, the
-        order depends on the viewing, or is not sure.
-        """
-        means = {name: float(values.mean()) for name, values in self.delta_e.items()}
-        order = sorted(means, key=lambda name: means[name])
-        better = {
-            (one, other)
-            for place, one in enumerate(order)
-            for other in order[place + 1 :]
-            if all(view.sign > 0 for view in self.views_between(one, other) if view.inside)
-        }
-        cuts = [
-            place
-            for place in range(1, len(order))
-            if all((one, other) in better for one in order[:place] for other in order[place:])
-        ]
-        return tuple(tuple(order[first:last]) for first, last in pairwise([0, *cuts, len(order)]))
+            found.append(DisplayDifference(display.dots, *numbers, None if film is None else film * float(factor)))
+        return tuple(found)
 
     @property
     def film_of_sensors(self) -> dict[str, float | None]:
@@ -300,14 +271,17 @@ class Averaged:
 
     def answers(self) -> dict[str, Any]:
         """Return the numbers that answer the question, as in compare.json."""
-        views = {other: self.views(other) for other in self.names[1:]}
+        on_displays = {other: self.display_differences(other) for other in self.names[1:]}
         return {
             "scores": {name: list(score) for name, score in self.scores.items()},
             "difference": self.difference,
             "interval_delta_e": {name: list(ends) for name, ends in self.interval_delta_e.items()},
             "probability_a_better": self.probability_a_better,
             "film_delta_e": self.film_delta_e,
-            "views": {other: [view.as_dict((self.names[0], other)) for view in own] for other, own in views.items()},
+            "displays": {
+                other: [difference.as_dict((self.names[0], other)) for difference in differences]
+                for other, differences in on_displays.items()
+            },
         }
 
 

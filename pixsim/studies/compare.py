@@ -1,7 +1,8 @@
 """Compare image sensors in one scene: mean ΔE of each, the differences from the first, and how sure these are.
 
 All sensors see the same field, on one display, in the same light. The first sensor and each other one are compared as if no third
-one were there, under a range of viewing (`pixsim.studies.viewing`). Both frames of a pair have the random seeds of its number.
+one were there, on the stated display and on two others (`pixsim.studies.displays`). Both frames of a pair have the random seeds of
+its number.
 """
 
 from __future__ import annotations
@@ -44,7 +45,6 @@ from pixsim.studies.sensor_types import TYPES_FILE, sample_of
 from pixsim.studies.series import Series, judging_of
 from pixsim.studies.study_settings import Study
 from pixsim.studies.uncertainty import FEW_SENSORS
-from pixsim.studies.verdicts import elsewhere_note
 from pixsim.viewer.develop_options import of_python
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.metric_registry import names_of
@@ -162,8 +162,7 @@ def run_prepared(
         if prepared.types is not None:
             drawn = differences_of_types(prepared.types, result, pairs, files[TYPES_FILE], workers, stage("sensor types"))
             result = replace(result, uncertainty=tuple(drawn))
-        elsewhere = [elsewhere_note(result, other) for other in result.names[1:]]
-    return replace(result, notes=(*notes, *found_notes, *filter(None, elsewhere)))
+    return replace(result, notes=(*notes, *found_notes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,7 +225,7 @@ def lit_pair(lineups: Sequence[Lineup], whole: Sequence[Lit], stage: Stage, repe
 def is_alike(lineup: Lineup, of_all: Lit) -> bool:
     """Return whether the comparison of two sensors is the same among more: field, chart, film and displays."""
     among = of_all.lineup
-    alike = ("border", "viewing", "film_width")
+    alike = ("border", "displays", "film_width")
     if any(getattr(lineup, name) != getattr(among, name) for name in alike):
         return False
     # Another sensor may have asked for a finer film.
@@ -279,7 +278,7 @@ def series_of_sensor(lineup: Lineup, sensor: Case[Run], light: Light, repeats: i
         judging = judging_of(asked, repeats)
         imaging = replace(Imaging.of(sensor.settings, sensor.camera), border_um=border_um, single=True, judging=judging)
         warn_of_unit_slips(pixel, f"{sensor.name}: ")
-        first, *others = lineup.displays.values()
+        first, *others = lineup.different_displays
         scenes = SceneCache(
             light.image,
             sensor.camera,
@@ -306,7 +305,7 @@ def observed_of(lit: Lit, rows: Sequence[Sequence[Row]]) -> Observed:
     rows : of each sensor
     """
     lineup, found = lit.lineup, []
-    places = [list(lineup.displays).index(viewing) for viewing in lineup.viewing.viewings]
+    places = [lineup.different_displays.index(display) for display in lineup.displays]
     for sensor, (light, plan), series, own in zip(lineup.cases, lit.lights, lit.series, rows, strict=True):
         on_displays = {
             metric.name: numbers_in(own, metric.columns[0]).reshape(-1, len(series.displays)).T[places]

@@ -60,7 +60,6 @@ class Comparison(Averaged):
             delta_e = {name: values.tolist() for name, values in part.delta_e.items()}
             more["conditions"][condition.condition] |= part.answers() | {"delta_e": delta_e}
         if len(self.pairs) > 1:
-            more["ranking"] = [list(group) for group in self.ranking]
             more["pairs"] = {other: _pair_as_dict(self.pair(other)) for other in self.names[1:]}
         if self.judged:
             more["metrics"] = {

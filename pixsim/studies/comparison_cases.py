@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pixsim.base.units import unit_of
 from pixsim.show.document import Answer, Table
 from pixsim.show.figures import LOOKS, literal, new_figure, own_style
 from pixsim.show.render import cell_of
@@ -23,7 +22,6 @@ from pixsim.studies.study_file import study_of
 from pixsim.studies.study_settings import Study
 from pixsim.studies.varied import MAX_CASE_NAME
 from pixsim.studies.verdicts import match_words, whole_verdict
-from pixsim.studies.viewing import where_along
 from pixsim.viewer.merging import merge
 
 if TYPE_CHECKING:
@@ -115,11 +113,6 @@ class ComparedCases:
         if len(found) == 1:
             better, worse = (self.names[0], other) if found == {1} else (other, self.names[0])
             return f"{better} is better than {worse} in all {len(signs)} cases"
-        if len(self.axes) == 1 and all(not isinstance(case.at[self.axes[0].name], str) for case, _ in signs):
-            along, unit = sorted((float(case.at[self.axes[0].name]), sign) for case, sign in signs), unit_along(self.axes[0])
-            unit = f" {unit}" if unit else ""
-            words = where_along([(f"{value:.4g}", sign) for value, sign in along], names, unit, unit, " is better")
-            return f"{words} ({self.axes[0].name})"
         parts: list[str] = []
         for sign, name in names.items():
             if where := [case.words or BASE for case, own in signs if own == sign]:
@@ -174,12 +167,6 @@ class ComparedCases:
 
 
 def sign_of(result: Averaged, other: str) -> int:
-    """Return 1 if the first sensor is surely better in the whole range of viewing, -1 if the other one is, else 0."""
-    signs = {view.sign for view in result.views(other) if view.inside}
-    return signs.pop() if len(signs) == 1 else 0
-
-
-def unit_along(axis: Axis) -> str:
-    """Return the unit of an axis; empty if its settings state none, or several."""
-    units = {unit_of(dotted.rpartition(".")[2]) for dotted in axis.set}
-    return units.pop() if len(units) == 1 else ""
+    """Return 1 if the first sensor is surely better, -1 if the other one is; 0 if neither is, or if that depends on the display."""
+    stated, *on_others = result.display_differences(other)
+    return 0 if any(difference.sign == -stated.sign for difference in on_others) else stated.sign

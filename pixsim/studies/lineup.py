@@ -32,15 +32,15 @@ from pixsim.sensor.spread import sheet_uncertainty
 from pixsim.sensor.technology import check_name
 from pixsim.studies.cases import Case, Job, named
 from pixsim.studies.condition import Condition
+from pixsim.studies.displays import other_displays
 from pixsim.studies.lights import Demand, demand_of
 from pixsim.studies.matched_cameras import Match, matched_cameras
 from pixsim.studies.pair_uncertainty import Types
 from pixsim.studies.paired import FEWEST_PAIRS
-from pixsim.studies.preparation import ALLOWED_DOTS, check_metrics, choose_view, is_picture, loaded_scene, with_view
+from pixsim.studies.preparation import check_metrics, choose_view, is_picture, loaded_scene, with_view
 from pixsim.studies.study_file import study_of
 from pixsim.studies.study_settings import Study, owner_of
 from pixsim.studies.varied import NOT_SETTINGS, paths_of
-from pixsim.studies.viewing import OF_VIEWING, Viewing, ViewingRange
 from pixsim.viewer.display import dot_edges_um
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.setting import Effort, Run, Setting
@@ -81,14 +81,15 @@ class Lineup(Job[Run]):
     scene : file, or name of a packaged scene
     finest : name of the sensor with the most pixels, whose view all have
     border : width of the border that is not scored, as a fraction of the width of the field
-    viewing : displays on which the frames are scored; the first one is that of `settings`
+    displays : on which the frames are scored: that of `settings`, then as many others in each condition. One that would have no
+        dot within the border is that of `settings` again
     """
 
     weight: float
     scene: str
     finest: str
     border: float
-    viewing: ViewingRange
+    displays: tuple[Display, ...]
 
     @property
     def condition(self) -> str:
@@ -117,15 +118,12 @@ class Lineup(Job[Run]):
             "fov_deg": self.camera.fov_deg,
             "scored_dots": list(self.scored_dots),
             "chosen": {**self.view, "finest": self.finest},
-            "viewing": self.viewing.as_dict(),
         }
 
     @property
-    def displays(self) -> dict[Viewing, Display]:
-        """The displays on which the frames are scored, that of the settings first."""
-        own = self.settings.display
-        chosen = Viewing(own.dots, own.samples_per_deg)
-        return {viewing: viewing.display(own) for viewing in (chosen, *self.viewing.viewings)}
+    def different_displays(self) -> list[Display]:
+        """The `displays`, each once."""
+        return list(dict.fromkeys(self.displays))
 
     def border_um(self, camera: Camera) -> float:
         """Return the width of the border on a camera's die."""
@@ -408,10 +406,9 @@ def differing(record: Record, other: Record) -> Record:
 def lineup_of(stated: Stated, common: Lineup | None, match: Match, sensor: str | None, variant: str | None) -> Lineup:
     """Return sensors under one condition.
 
-    common : another condition, whose displays and chart this one takes where it leaves them open, so that both can be averaged
+    common : another condition, whose dots and chart this one takes where it leaves them open, so that both can be averaged
     """
     scene, settings = stated.scene, stated.sensors[0].settings
-    of_viewing = [name for name in OF_VIEWING if name in settings.display.model_fields_set]
     if settings.display.raster != "fixed_size":
         got = f"'{settings.display.raster}', which gives each sensor a display of its own"
         raise invalid("display.raster", got, "'fixed_size': one display for all sensors")
@@ -455,9 +452,6 @@ def lineup_of(stated: Stated, common: Lineup | None, match: Match, sensor: str |
             dot_edges_um(camera.die_um, run.pixel.pitch_um, settings.display, border * camera.die_um[1])
         own = {"camera": camera.options, "lens": camera.lens_options, "pixel": run.pixel, "exposure": run.exposure}
         sensors.append(replace(each, settings=settings.model_copy(update=own), found=(of_sensor, camera)))
-    viewing = _viewing(sensors, settings.display, of_viewing, border)
-    if common is not None:
-        viewing = common.viewing.under(settings.display, of_viewing)
     return Lineup(
         cases=tuple(sensors),
         view=view,
@@ -467,24 +461,25 @@ def lineup_of(stated: Stated, common: Lineup | None, match: Match, sensor: str |
         scene=scene,
         finest=finest.name,
         border=border,
-        viewing=viewing,
+        displays=_displays(sensors[0], settings.display, border),
     )
 
 
-def _viewing(sensors: Sequence[Case[Run]], display: Display, stated: Sequence[str], border: float) -> ViewingRange:
-    """Return the range of viewing around a display, without displays that have no dot within the border."""
-    low, high = ALLOWED_DOTS
-    wished = ViewingRange.of(display, stated, [min(max(pixels_of(sensor)[1], low), high) for sensor in sensors])
+def _displays(sensor: Case[Run], display: Display, border: float) -> tuple[Display, ...]:
+    """Return a display and those of `other_displays`; in place of one that has no dot within the border, the display again.
 
-    def is_possible(viewing: Viewing) -> bool:
-        die_um, pitch_um = sensors[0].camera.die_um, sensors[0].settings.pixel.pitch_um
+    sensor : any one of those that are compared
+    """
+    die_um, pitch_um = sensor.camera.die_um, sensor.settings.pixel.pitch_um
+    displays = [display]
+    for other in other_displays(display):
         try:
-            dot_edges_um(die_um, pitch_um, viewing.display(display), border * die_um[1])
+            dot_edges_um(die_um, pitch_um, other, border * die_um[1])
         except PixsimError:
-            return False
-        return True
-
-    return replace(wished, viewings=tuple(each for each in wished.viewings if each == wished.chosen or is_possible(each)))
+            displays.append(display)
+        else:
+            displays.append(other)
+    return tuple(displays)
 
 
 def _whole_cameras(scene: Scene, sensors: Sequence[Case[Run]]) -> list[Camera]:

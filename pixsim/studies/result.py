@@ -30,19 +30,19 @@ from pixsim.show.figures import LOOKS, Look, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate, dataframe_of, rows_csv
 from pixsim.show.render import cell_of
 from pixsim.show.sentences import few, sentence, settings_line, span
-from pixsim.studies.agreement import agreement_of
 from pixsim.studies.cases import BASE, case_words
+from pixsim.studies.displays import DisplayOptimum
 from pixsim.studies.evaluations import FEWEST_SIZES, Counts, TooFewSizesError, blocks_of, frames_of, task_of
 from pixsim.studies.film_error import FilmError
 from pixsim.studies.light_level import LightLevel
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E, FittedCurve, Optimum, Widths, fit_curve, mean_and_ci95
 from pixsim.studies.pixels import photodiode_widths_um, physics_of, technology_of
+from pixsim.studies.regret import metric_regrets
 from pixsim.studies.rows import Row
 from pixsim.studies.sampling import largest_lens_um
 from pixsim.studies.sentences import interval_words, optima_table, optimum_words
 from pixsim.studies.series import Series, scenes_of, series_of
 from pixsim.studies.study_settings import Study
-from pixsim.studies.viewing import OptimumViewed
 from pixsim.viewer.causes import Cause, causes_of
 from pixsim.viewer.develop_options import developed_words
 from pixsim.viewer.display import white_light, white_rate
@@ -79,7 +79,7 @@ class Curve:
     light : errors of the light, the film's at the best of the pitches
     at, condition, alone : of its case (`pixsim.studies.cases.Case`), in a study with axes or conditions
     left_out : pitches in µm that are not among them, each with the reason
-    viewed : optima under other viewings, of a data sheet's sensor whose display pixsim chose
+    on_displays : optima with half and with twice the display's dots, of a data sheet's sensor
     from_smallest : whether the sizes begin with the smallest of the process, by its least fill factor
     causes : of the mean ΔE of the best of the pitches, beside noise and blur, the largest first
     metrics : that judge it; the first one is that of `fit`
@@ -103,7 +103,7 @@ class Curve:
     condition: str = ""
     alone: str = ""
     left_out: tuple[tuple[float, str], ...] = field(default=(), repr=False)
-    viewed: tuple[OptimumViewed, ...] = field(default=(), repr=False)
+    on_displays: tuple[DisplayOptimum, ...] = field(default=(), repr=False)
     from_smallest: bool = False
     causes: tuple[Cause, ...] = field(default=(), repr=False)
     metrics: tuple[Metric, ...] = field(default=(DELTA_E,), repr=False)
@@ -156,7 +156,7 @@ class Curve:
         first = next(each for each in self.metrics if each.name == metric)
         metrics = first, *(each for each in self.metrics if each is not first)
         fits = {self.metric.name: self.fit} | {name: fit for name, fit in self.fits.items() if name != metric}
-        return replace(self, metrics=metrics, fit=self.fits[metric], fits=fits, viewed=(), causes=())
+        return replace(self, metrics=metrics, fit=self.fits[metric], fits=fits, on_displays=(), causes=())
 
     @property
     def optimum(self) -> Optimum:
@@ -300,8 +300,8 @@ class Curve:
         optima = {name: optimum.of_metric() for name, optimum in self.optima.items()}
         optima |= {name: fit.optimum.of_metric() for name, fit in self.variant_fits.items()}
         names = self.columns
-        judges = agreement_of(self)
-        told = {} if judges is None else {"judges": judges.as_dict()}
+        regrets = metric_regrets(self)
+        told = {} if regrets is None else {"regrets": regrets.as_dict()}
         means = {name: [value if math.isfinite(value) else None for value in self.typical(name).tolist()] for name in names}
         return {"optima": optima, "metrics": means} | told
 
@@ -324,7 +324,7 @@ class Curve:
             **self._further_metrics(),
             **({"left_out": {f"{pitch_um:g}": reason for pitch_um, reason in self.left_out}} if self.left_out else {}),
             **({} if self.fresnel_number is None else {"fresnel_number": self.fresnel_number.tolist()}),
-            **({"views": [each.as_dict() for each in self.viewed]} if self.viewed else {}),
+            **({"displays": [each.as_dict() for each in self.on_displays]} if self.on_displays else {}),
         }
 
 

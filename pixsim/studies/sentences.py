@@ -16,11 +16,11 @@ from pixsim.base.notes import told_apart
 from pixsim.optics.camera import Camera
 from pixsim.scene.convergence import RENDER_NOISE, what_reaches
 from pixsim.sensor.stages import stage_words
-from pixsim.show.document import Answer, Fact, Strong, Table, Text, has_room, headline, joined, plain_text
-from pixsim.show.sentences import few, interval, span, with_ends, with_error
-from pixsim.studies.agreement import agreement_words, value_words
+from pixsim.show.document import Answer, Block, Fact, Strong, Table, Text, has_room, headline, joined, plain_text
+from pixsim.show.sentences import few, interval, with_ends, with_error
 from pixsim.studies.extent import columns_on, moved_view, stated_end_lp_per_mm
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
+from pixsim.studies.regret import metric_regrets
 from pixsim.viewer.causes import SATURATED_SHOWN
 from pixsim.viewer.develop_options import developed_words
 from pixsim.viewer.display_options import Display
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from pixsim.studies.run import RunResult
 
 FILLED = 0.9995  # larger fill factors are shown as 100 %: data sheets give the numbers of the whole pixel
+MAX_REGRET_TABLES = 8  # before an answer has too many lines; summary.json has all
 LEAST_RISE = 0.1  # per cent, of a curve to an end of its range: a fit says no more
 
 # --- the optimum of a curve ------------------------------------------------------------------------------------------------------
@@ -47,8 +48,8 @@ def optimum_parts(curve: Curve) -> list[Text]:
     The parts are those of a `headline`.
     """
     first, *others = _optimum_parts(curve)
-    viewed = (viewed_words(curve, inside) for inside in (True, False))
-    return [joined([f"{curve.label}: ", first], ""), *filter(None, (curve.developed,)), *others, *filter(None, viewed)]
+    parts: list[Text] = [joined([f"{curve.label}: ", first], ""), curve.developed, *others, displays_words(curve)]
+    return [part for part in parts if part]
 
 
 def optimum_line(curve: Curve) -> str:
@@ -67,7 +68,7 @@ def _optimum_parts(curve: Curve) -> list[Text]:
     """Return `optimum_parts` on the chosen display, without the label."""
     if not curve.judged_by_delta_e:
         metric, best = curve.metrics[0], curve.optimum
-        value = f"{metric.title} {value_words(metric, best)}"
+        value = f"{metric.title} {metric.shown(best.value)}"
         if best.inside:
             stated = f"95 %: {interval_words(curve)}; {best.between_sizes_share:.0%} between sizes"
             return [("optimal pixel size ", Strong(f"{best.pitch_um:.2f} µm"), f" ({stated}), {value}")]
@@ -190,20 +191,13 @@ def within_words(ends: tuple[float | None, float | None], curve: Curve) -> str:
     return f"{first} to {last}"
 
 
-def viewed_words(curve: Curve, inside: bool = True) -> str:
-    """Return the optima under the viewings of the range as text, or under those outside it; empty without any."""
-    own = [each for each in curve.viewed if each.inside == inside]
-    if not own:
-        return ""
-    optima = [each.optimum for each in own] + ([curve.optimum] if inside else [])
-    sizes = sorted(best.pitch_um for best in optima)
-    range_um = span(sizes[0], sizes[-1], ".2g", " µm")
-    each_one = ", ".join(
-        f"{each.optimum.pitch_um:.2g} µm on {each.viewing}{'' if each.optimum.inside else ' (an end of the range of sizes)'}"
-        for each in own
-    )
-    where = "in the range of viewing" if inside else "on other displays than the one stated"
-    return f"{where} the best size goes from {range_um}: {each_one}" if " to " in range_um else f"{where} it is {range_um} too"
+def displays_words(curve: Curve) -> str:
+    """Return the optima on other displays as text; empty without any."""
+    words = [
+        f"{each.optimum.pitch_um:.2g} µm on {each.dots} dots{'' if each.optimum.inside else ' (an end of the range of sizes)'}"
+        for each in curve.on_displays
+    ]
+    return f"the best size is {', '.join(words)}" if words else ""
 
 
 # --- how sure a mean ΔE is -------------------------------------------------------------------------------------------------------
@@ -435,8 +429,16 @@ def contrast_words(result: StudyResult, curve: Curve) -> list[str]:
     return [f"{curve.label}: the best size by information depends on the contrast of the scene: {', '.join(sizes)}"]
 
 
-def study_facts(result: StudyResult) -> list[Fact]:
-    """Return what follows the optima of a study: causes, errors of its light, what it depends on, how its sensors are shown."""
-    judged = [text for curve in result.curves for text in (*agreement_words(curve), *contrast_words(result, curve))]
-    words = [judged, result.cause_notes, study_unconverged(result), study_light_words(result), study_view_words(result)]
-    return [Fact(text) for each in words for text in each]
+def study_facts(result: StudyResult) -> list[Block]:
+    """Return what follows the optima of a study: regrets, causes, errors of its light, what it depends on, how it is shown."""
+    regrets = [found.table() for curve in result.curves[:MAX_REGRET_TABLES] if (found := metric_regrets(curve))]
+    without = [
+        f"{curve.label}: {metric.words} tells no best size, since it is 0 or below, or has no number, for too many sizes"
+        for curve in result.curves
+        for metric in curve.metrics
+        if metric.has_optimum and metric.name not in curve.optima
+    ]
+    contrasts = [words for curve in result.curves for words in contrast_words(result, curve)]
+    light, view = study_light_words(result), study_view_words(result)
+    words = [without, contrasts, result.cause_notes, study_unconverged(result), light, view]
+    return [*regrets, *(Fact(text) for texts in words for text in texts)]

@@ -27,7 +27,7 @@ from pixsim.show.sentences import few
 from pixsim.studies.allocation import next_sensors, next_where_open
 from pixsim.studies.cases import Case, check_number
 from pixsim.studies.cost import jobs_in_memory, largest_frame_bytes
-from pixsim.studies.elsewhere import curves_viewed
+from pixsim.studies.elsewhere import curves_on_displays
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluations import Counts, Evaluations, TooFewSizesError, check_ideals, ideal_facts, warn_of_stacks
 from pixsim.studies.lights import GivenLight, Light, lights_of_cases
@@ -396,7 +396,7 @@ def run_prepared(
         warn_of_idle_axes(chosen, found)
         curves = found[0].curves
         if not job.study.has_cases and chosen.own_um is not None and chosen.display.raster == "fixed_size":
-            curves = curves_viewed(found[0], workers, stage("on other displays"))
+            curves = curves_on_displays(found[0], workers, stage("on other displays"))
         findings: tuple[tuple[Any, ...], ...] = ()
         if job.study.has_cases and chosen.paper:
             from pixsim.studies.claims import findings_of_cases

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -11,16 +11,16 @@ from pixsim.base.headline import NOT_CONVERGED
 from pixsim.sensor.labels import label_of
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.sensor.stages import stage_words
-from pixsim.show.document import Answer, Block, Fact, Listed, Strong, Table, has_room, headline
+from pixsim.show.document import Answer, Block, Fact, Listed, Strong, Table, headline
 from pixsim.show.sentences import with_error
 from pixsim.studies.averages import Averaged, shown_delta_e
 from pixsim.studies.cases import Case
+from pixsim.studies.displays import DisplayDifference, dots_words
 from pixsim.studies.extent import stated_end_lp_per_mm
 from pixsim.studies.lineup import ComparisonJob, Lineup, pixels_of
 from pixsim.studies.matched_cameras import Match
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
 from pixsim.studies.paired import mean_interval, probability_above_zero
-from pixsim.studies.viewing import Viewed, range_words, where_words
 from pixsim.viewer.develop_options import developed_words
 from pixsim.viewer.metric_registry import metric_known
 from pixsim.viewer.setting import Run
@@ -55,71 +55,59 @@ def verdict(result: Averaged, other: str) -> str:
 
 
 def verdict_parts(result: Averaged, other: str, match: Match | None = None) -> list[str]:
-    """Return the answer for the first sensor and another: which is better, by how much, how sure that is, and where it holds.
+    """Return the answer for the first sensor and another: which is better, by how much, how sure that is, and on which displays.
 
-    Neither is called better if half of the difference's 95 % interval and the film's error exceed it together. One is called
-    better without a condition only if it is so under all viewings of the range.
+    Neither is called better if half of the difference's 95 % interval and the film's error exceed it together. Where one is better
+    on one display and the other one on another, the answer begins with that.
 
     match : of their cameras, which the verdict says; None where a line above has it
     """
-    names, views = (result.names[0], other), result.views(other)
-    chosen, *_ = inside = [view for view in views if view.inside]
+    names = result.names[0], other
+    stated, *on_others = result.display_differences(other)
     matched = f" {match_words(match)}" if match else ""
-    on_display = _verdict_on(chosen, names)
-    words = f"{on_display}{matched}"
-    if len(inside) == 1 or all(view.difference == 0 for view in inside):
-        return [words]
-    signs = {view.sign for view in inside}
-    if signs == {0}:
-        return [words, "nor elsewhere in the range of viewing"]
-    if len(signs) == 1:
-        sizes = sorted(abs(view.difference) for view in inside)
-        return [words, f"in the whole range of viewing by {sizes[0]:.2g} to {sizes[-1]:.2g} ΔE"]
-    where, on_chosen = where_words(inside, names), f"on {chosen.viewing}, {on_display}"
-    depends = f"which is better{matched} depends on the viewing: {where}"
-    follows = [NOT_CONVERGED] if NOT_CONVERGED in result.unconverged else []
-    if has_room([depends, *follows]):
-        return [depends, on_chosen]
-    return [f"which of {names[0]} and {names[1]} is better{matched} depends on the viewing", on_chosen, where]
+    on_stated = _verdict_on(stated, names)
+
+    on_others = [difference for difference in on_others if difference.dots != stated.dots]
+    if not any(difference.difference for difference in (stated, *on_others)):
+        return [f"{on_stated}{matched}"]
+    elsewhere = _on_other_displays(stated, on_others, names)
+    signs = {difference.sign for difference in (stated, *on_others)}
+    if {1, -1} <= signs:
+        depends = f"which of {names[0]} and {names[1]} is better{matched} depends on the display"
+        return [depends, f"on {stated.dots} dots, {on_stated}", *elsewhere]
+    return [f"{on_stated}{matched}", *elsewhere]
 
 
-def elsewhere_note(result: Averaged, other: str) -> str:
-    """Return whether a verdict on a display that the user stated turns on others; empty if none was stated."""
-    names, views = (result.names[0], other), result.views(other)
-    if all(view.inside for view in views):
-        return ""
-    stated, signs = {view.sign for view in views if view.inside}, {view.sign for view in views}
-    others = f"on other displays ({range_words([view.viewing for view in views])})"
-    if signs == stated and len(signs) == 1:
-        return f"{names[0]} and {names[1]}: the verdict is the same {others}"
-    return f"{names[0]} and {names[1]}: the verdict depends on the display that was stated; {others}: {where_words(views, names)}"
+def _on_other_displays(stated: DisplayDifference, on_others: Sequence[DisplayDifference], names: tuple[str, str]) -> list[str]:
+    """Return which of two sensors is better on other displays than the stated one; displays of the same answer stand together."""
+    displays: dict[str, list[DisplayDifference]] = {}
+    for difference in on_others:
+        if difference.sign:
+            better = names[0] if difference.sign > 0 else names[1]
+            words = f"{better} is better{' too' if difference.sign == stated.sign else ''}"
+        else:
+            words = "the film's error hides it" if difference.is_hidden_by_film else "they cannot be told apart"
+        displays.setdefault(words, []).append(difference)
+    return [f"on {dots_words(differences)} {words}" for words, differences in displays.items()]
 
 
-def ranking_words(result: Averaged, match: Match) -> str:
-    """Return the order of three sensors and more under a match, the best first."""
-    groups = [
-        group[0]
-        if len(group) == 1
-        else f"{', '.join(group[:-1])} and {group[-1]} (whose order depends on the viewing or is not sure)"
-        for group in result.ranking
-    ]
-    return f"ranking {match_words(match)}, the best first, all on one display: {'; then '.join(groups)}"
-
-
-def _verdict_on(view: Viewed, names: tuple[str, str]) -> str:
-    """Return which of two sensors is better under one viewing, by how much, and how sure that is."""
+def _verdict_on(on_display: DisplayDifference, names: tuple[str, str]) -> str:
+    """Return which of two sensors is better on one display, by how much, and how sure that is."""
     first, other = names
-    better, worse = (first, other) if view.difference >= 0 else (other, first)
-    above = view.probability_a_better
-    of_better = shown_probability(above if view.difference >= 0 else 1 - above)
-    size = shown_delta_e(abs(view.difference), view.half_delta_e, view.film_delta_e)
-    if view.difference == 0:
+    difference, above = on_display.difference, on_display.probability_a_better
+    better, worse = (first, other) if difference >= 0 else (other, first)
+    of_better = shown_probability(above if difference >= 0 else 1 - above)
+    if difference == 0:
         return f"{first} and {other} have the same mean ΔE in every pair of frames"
-    if abs(view.difference) <= view.half_delta_e:
+
+    if on_display.is_hidden_by_film:
+        size = shown_delta_e(abs(difference), on_display.half_delta_e, 0.0)
+        film = f"the film's error of {on_display.film_delta_e:.1g} ΔE"
+        return f"{film} hides which of {first} and {other} is better: {better} by {size}"
+    size = shown_delta_e(abs(difference), on_display.half_delta_e, on_display.film_delta_e)
+    if not on_display.sign:
         return f"{first} and {other} cannot be told apart: {better} is better by {size} (probability {of_better})"
-    if not view.sign:
-        return f"{first} and {other} cannot be told apart: {better} is better by {size}, within the error of the film"
-    visible = "" if abs(view.difference) >= NO_VISIBLE_DELTA_E else f", no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE)"
+    visible = "" if abs(difference) >= NO_VISIBLE_DELTA_E else f", no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE)"
     return f"{better} is better than {worse} by {size} (probability {of_better}){visible}"
 
 
@@ -176,9 +164,8 @@ def answer(result: Averaged, other: str, match: Match) -> Answer:
 
 
 def answers(result: Comparison) -> list[Answer]:
-    """Return the answer for each later sensor, and the order of three and more."""
-    found = [answer(result, other, result.prepared.match) for other in result.names[1:]]
-    return found + ([headline(ranking_words(result, result.prepared.match).split("; "))] if len(result.names) > 2 else [])
+    """Return the answer for each later sensor."""
+    return [answer(result, other, result.prepared.match) for other in result.names[1:]]
 
 
 # --- what the answers belong to ---------------------------------------------------------------------------------------------------
@@ -250,12 +237,11 @@ def _common_words(prepared: ComparisonJob, lineup: Lineup) -> list[str]:
         of = f", {limit.replace('the sensor', lineup.finest)}" if limit else ""
         chart = f"one chart, to {highest * camera.die_mm:.4g} cycles across{of}"
     rows, columns = lineup.scored_dots
-    viewing = lineup.viewing
-    stated = ", as stated" if viewing.stated else ""
-    shown = f"one display of {display.dots} dots across, {display.samples_per_deg:g} per degree{stated}"
-    shown += f"; {columns} × {rows} are scored; range of viewing: {viewing.words}"
+    shown = f"one display of {display.dots} dots across, {display.samples_per_deg:g} per degree; {columns} × {rows} are scored"
+    if others := [each for each in lineup.different_displays if each != display]:
+        shown += f"; checked on {dots_words(others)}"
     if len(prepared.pairs) > 1:
-        shown += "; each difference is that of two sensors alone, with their own field, chart and range of viewing"
+        shown += "; each difference is that of two sensors alone, with their own field, chart and dots"
     light = "the same light in each condition" if lineup.condition else "the same light"
     return [lens, chart, shown, light, exposure_words(lineup), f"{prepared.repeats} pairs of frames with the same seeds"]
 

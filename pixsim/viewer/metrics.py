@@ -107,7 +107,7 @@ class Metric:
         return f"{value:.3f} ΔE" if self.is_delta_e else f"{value:.4g} {self.unit}".rstrip()
 
     def worse_by(self, values: Array | float, best: Array | float) -> Array:
-        """Return by how much values are worse than a best one, in the metric's unit, (...): its regret."""
+        """Return by how much values are worse than a best one, in the metric's unit, (...)."""
         return np.asarray(values - best if self.better == "less" else best - values)
 
     def loss(self, values: Array) -> Array:

@@ -25,7 +25,7 @@ from pixsim.base import cache
 from pixsim.report.axes import study_report
 from pixsim.show.render import write
 from pixsim.studies import evaluations
-from pixsim.studies.conditions import compromises_of
+from pixsim.studies.conditions import condition_regrets
 from pixsim.studies.engine import Workers, workers_here
 from pixsim.studies.evaluations import Task
 from pixsim.studies.preparation import prepare
@@ -98,7 +98,7 @@ def main() -> None:
         prepared = prepare(study)
         result = run_prepared(prepared, folder / "out", jobs=jobs, progress=stage)
         stage("report")
-        write(study_report(result, compromises_of(study, result.curves), {}, Workers(jobs)), folder / "out")
+        write(study_report(result, condition_regrets(study, result.curves), {}, Workers(jobs)), folder / "out")
         stage("")
         lines = [line.split() for path in (folder / "own").iterdir() for line in path.read_text(encoding="utf-8").splitlines()]
     own_s, other_s = (sum(float(line[place]) for line in lines) for place in (0, 2))

@@ -21,8 +21,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from helpers.documents import ROOT, blocks_of
 
 import pixsim
-from pixsim.studies.agreement import fits_of, share_of_best
 from pixsim.studies.optimum import FittedCurve
+from pixsim.studies.regret import share_of_best
 from pixsim.studies.study_file import load_study
 from pixsim.viewer.metric_options import METRIC_OPTIONS
 from pixsim.viewer.metric_registry import METRICS
@@ -47,12 +47,12 @@ def cases_of(file: Path, out: Path, jobs: int) -> dict[str, dict[str, FittedCurv
     light = {name: value for name, value in study.scene.parameters.items() if name in LIGHTS}
     chart = table | {"name": f"{study.name}-chart", "metrics": ["delta_e"], "scene": {"file": "csf", "parameters": light}}
     both = [pixsim.study(each, out / each.name, jobs=jobs) for each in (study, pixsim.Study.model_validate(chart))]
-    return {
-        " ".join(filter(None, (study.name, of_target.condition))): fits_of(of_target)
-        | of_target.variant_fits
-        | {"delta_e": of_chart.fit}
-        for of_target, of_chart in zip(both[0].curves, both[1].curves, strict=True)
-    }
+    fits = {}
+    for target, chart_curve in zip(both[0].curves, both[1].curves, strict=True):
+        case = " ".join(filter(None, (study.name, target.condition)))
+        of_target = {target.metric.name: target.fit} | target.fits | target.variant_fits
+        fits[case] = of_target | {"delta_e": chart_curve.fit}
+    return fits
 
 
 def best_words(fit: FittedCurve) -> str:

@@ -19,8 +19,8 @@ from helpers.sheets import two_sheets
 from pixsim.base.headline import MOST_WORDS, NOT_CONVERGED
 from pixsim.show.document import plain_text
 from pixsim.studies.averages import Averaged, Observed, shown_delta_e
-from pixsim.studies.verdicts import answer, elsewhere_note, verdict, verdict_parts, whole_verdict
-from pixsim.studies.viewing import Viewing, ViewingRange
+from pixsim.studies.verdicts import answer, verdict, verdict_parts, whole_verdict
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.setting import Run
 
 SMALL = "--display.dots 120 --resolution 48 -D luminance_cd_per_m2=1 --repeats 3 --jobs 1 --variant scalar_spectral"
@@ -68,42 +68,46 @@ def test_compare_says_each_note_once(tmp_path: Path) -> None:
     code, out, err = command(f"compare {SMALL} --pixel.black-level-dn 0 --out {tmp_path / 'out'}", *files)
     assert code == 0
     notes = [line.removeprefix("note: ") for line in out.splitlines() if line.startswith("note: ")]
-    assert [note.split()[0] for note in notes] == ["quiet:", "noisy_one:", "quiet"]
-    assert all("clips dark noise" in note for note in notes[:2])
+    assert [note.split()[0] for note in notes] == ["quiet:", "noisy_one:"]
+    assert all("clips dark noise" in note for note in notes)
     (warned,) = re.findall(r"^warning: (quiet: pixel: prnu = 0.06 is unusual.*)\.$", err, re.MULTILINE)
     assert err.count("warning: ") == 1
     assert json.loads((tmp_path / "out/compare.json").read_text(encoding="utf-8"))["notes"] == [warned, *notes]
     page = html.unescape(text_of(tmp_path / "out"))
-    assert [page.count(f"Note: {note}.") for note in (warned, *notes)] == [1] * 4
+    assert [page.count(f"Note: {note}.") for note in (warned, *notes)] == [1] * 3
 
 
 # --- the words of an answer ---------------------------------------------------------------------------------------------
 
-CHOSEN = Viewing(600, 23.0)
+STATED, HALF, TWICE = 600, 300, 1200  # dots
 
 
-def viewed_of(
-    values: dict[Viewing, tuple[list[float], list[float]]], film: float | None = 0.0, stated: tuple[str, ...] = ()
-) -> Averaged:
-    """A comparison of these ΔE of a and b under some viewings, the chosen one first."""
-    return Averaged(((1.0, observed(values, film, stated)),))
+def compared(values: dict[int, tuple[list[float], list[float]]], film: float | None = 0.0) -> Averaged:
+    """A comparison of these ΔE of a and b on displays of some dots, the stated one first."""
+    return Averaged(((1.0, observed(values, film)),))
 
 
 def observed(
-    values: dict[Viewing, tuple[list[float], list[float]]],
+    values: dict[int, tuple[list[float], list[float]]],
     film: float | None = 0.0,
-    stated: tuple[str, ...] = (),
     condition: str = "",
     noises: tuple[dict[str, float], ...] = ({}, {}),
 ) -> Observed:
-    own = {"viewing": ViewingRange(tuple(values), stated), "condition": condition, "settings": Run()}
+    own = {"displays": [Display(dots=dots) for dots in values], "condition": condition, "settings": Run()}
     lineup = SimpleNamespace(**own, weight=0.5 if condition else 1.0)
     steps = SimpleNamespace(error_of_difference=lambda _: math.nan if film is None else film)
     sensors = []
     for number, (name, noise) in enumerate(zip("ab", noises, strict=True)):
-        viewed = np.array([pair[number] for pair in values.values()])
+        on_displays = np.array([pair[number] for pair in values.values()])
         image = SimpleNamespace(header={"render_noise": noise} if noise else {})
-        own = {"name": name, "viewed": viewed, "delta_e": viewed[0], "steps": steps, "causes": (), "irradiance": image}
+        own = {
+            "name": name,
+            "on_displays": on_displays,
+            "delta_e": on_displays[0],
+            "steps": steps,
+            "causes": (),
+            "irradiance": image,
+        }
         sensors.append(SimpleNamespace(**own, sensor=SimpleNamespace(settings=Run())))
     return SimpleNamespace(lineup=lineup, sensors=tuple(sensors))  # type: ignore[return-value]
 
@@ -123,7 +127,7 @@ CERTAIN = " (probability > .999)"
         ([1.2, 1.21], [1.0, 1.011], 0.0, "b is better than a by 0.1995 ± 0.0064 ΔE (probability > .999)"),
         ([1.0, 1.0], [1.2, 1.2], 0.0, "a is better than b by 0.2000 ± 0.0000 ΔE (probability > .999)"),
         ([1.0, 1.0], [1.2, 1.2], 0.05, "a is better than b by 0.20 ± 0.05 ΔE (probability > .999)"),
-        ([1.0, 1.0], [1.2, 1.2], 0.3, "a and b cannot be told apart: a is better by 0.2 ± 0.3 ΔE, within the error of the film"),
+        ([1.0, 1.0], [1.2, 1.2], 0.3, "the film's error of 0.3 ΔE hides which of a and b is better: a by 0.2000 ± 0.0000 ΔE"),
         ([1, 1], [1.2, 1.2], None, "a is better than b by 0.2000 ± 0.0000 ΔE and the film's error, which is unknown" + CERTAIN),
         ([1.0, 1.2], [1.1, 1.2], 0.0, "a and b cannot be told apart: a is better by 0.1 ± 0.6 ΔE (probability .75)"),
         ([1, 1], [1.02, 1.02], 0.0, "a is better than b by 0.0200 ± 0.0000 ΔE" + CERTAIN + ", no visible difference (< 0.05 ΔE)"),
@@ -131,53 +135,53 @@ CERTAIN = " (probability > .999)"
     ],
 )  # fmt: skip
 def test_verdict_is_as_sure_as_its_numbers(first: list[float], other: list[float], film: float | None, words: str) -> None:
-    assert verdict(viewed_of({CHOSEN: (first, other)}, film), "b") == words
+    assert verdict(compared({STATED: (first, other)}, film), "b") == words
 
 
 A_BY_02, B_BY_02, NEITHER = ([1.0, 1.01], [1.2, 1.211]), ([1.2, 1.211], [1.0, 1.01]), ([1.0, 1.2], [1.1, 1.2])
 A_BY_06 = [1.0, 1.01], [1.6, 1.611]
-FEWER, FEW, NEAR, FAR = Viewing(400, 23.0), Viewing(300, 23.0), Viewing(600, 11.5), Viewing(600, 46.0)
 BY_02 = "by 0.2005 ± 0.0064 ΔE (probability > .999)"
 
 
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({CHOSEN: A_BY_02, NEAR: A_BY_06}, f"a is better than b {BY_02}; in the whole range of viewing by 0.2 to 0.6 ΔE"),
+        ({STATED: A_BY_02}, f"a is better than b {BY_02}"),
+        ({STATED: A_BY_02, HALF: A_BY_06, TWICE: A_BY_02}, f"a is better than b {BY_02}; on 300 and 1200 dots a is better too"),
         (
-            {CHOSEN: NEITHER, NEAR: NEITHER},
-            "a and b cannot be told apart: a is better by 0.1 ± 0.6 ΔE (probability .75); nor elsewhere in the range of viewing",
-        ),
-        (  # 0 where √(300 · 600) is
-            {CHOSEN: A_BY_02, FEW: B_BY_02},
-            "which is better depends on the viewing: at 23 per degree a above about 420 dots, b below; on 600 dots at 23 per "
-            f"degree, a is better than b {BY_02}",
+            {STATED: A_BY_02, HALF: NEITHER, TWICE: A_BY_02},
+            f"a is better than b {BY_02}; on 300 dots they cannot be told apart; on 1200 dots a is better too",
         ),
         (
-            {CHOSEN: A_BY_02, FEWER: NEITHER, FEW: B_BY_02, NEAR: A_BY_06, FAR: A_BY_02},
-            "which is better depends on the viewing: at 11.5 and 46 per degree a; at 23 per degree a from 600 dots on, neither at "
-            f"400, b up to 300; on 600 dots at 23 per degree, a is better than b {BY_02}",
+            {STATED: A_BY_02, HALF: B_BY_02, TWICE: A_BY_02},
+            f"which of a and b is better depends on the display; on 600 dots, a is better than b {BY_02}; "
+            "on 300 dots b is better; on 1200 dots a is better too",
+        ),
+        (
+            {STATED: NEITHER, HALF: B_BY_02, TWICE: A_BY_02},
+            "which of a and b is better depends on the display; on 600 dots, a and b cannot be told apart: a is better by "
+            "0.1 ± 0.6 ΔE (probability .75); on 300 dots b is better; on 1200 dots a is better",
         ),
     ],
 )
-def test_better_without_a_condition_holds_in_the_whole_range(
-    values: dict[Viewing, tuple[list[float], list[float]]], words: str
+def test_verdict_depends_on_the_display_where_the_sign_differs(
+    values: dict[int, tuple[list[float], list[float]]], words: str
 ) -> None:
-    assert verdict(viewed_of(values), "b") == words
+    assert verdict(compared(values), "b") == words
 
 
-def test_stated_display_is_no_range_but_a_note_says_whether_the_verdict_turns() -> None:
-    both = ("dots", "samples_per_deg")
-    turns = viewed_of({CHOSEN: A_BY_02, FEW: B_BY_02, FAR: A_BY_02}, stated=both)
-    assert verdict(turns, "b") == f"a is better than b {BY_02}"
-    assert elsewhere_note(turns, "b") == (
-        "a and b: the verdict depends on the display that was stated; on other displays (300 to 600 dots, 23 to 46 per degree): "
-        "at 23 per degree a above about 420 dots, b below; at 46 per degree a"
+def test_verdict_names_the_film_where_it_hides_the_answer() -> None:
+    """On other displays twice the film's error is taken: half of the difference on the stated display, nothing by noise."""
+    words = verdict(compared({STATED: A_BY_02, HALF: A_BY_02, TWICE: A_BY_06}, film=0.1), "b")
+    assert words == (
+        "a is better than b by 0.2 ± 0.1 ΔE (probability > .999); on 300 dots the film's error hides it; "
+        "on 1200 dots a is better too"
     )
-    assert "the verdict is the same" in elsewhere_note(viewed_of({CHOSEN: A_BY_02, FEW: A_BY_06}, stated=both), "b")
-    dots_only = viewed_of({CHOSEN: A_BY_02, FEW: A_BY_02, FAR: B_BY_02}, stated=("dots",))
-    assert "depends on the viewing: at 23 per degree a; at 46 per degree b; on 600 dots" in verdict(dots_only, "b")
-    assert elsewhere_note(viewed_of({CHOSEN: A_BY_02, FEW: B_BY_02}), "b") == ""
+    hidden = verdict(compared({STATED: A_BY_02, HALF: B_BY_02, TWICE: A_BY_02}, film=0.3), "b")
+    assert hidden == (
+        "the film's error of 0.3 ΔE hides which of a and b is better: a by 0.2005 ± 0.0064 ΔE; on 300 and 1200 dots the film's "
+        "error hides it"
+    )
 
 
 @pytest.mark.parametrize(
@@ -191,7 +195,7 @@ def test_stated_display_is_no_range_but_a_note_says_whether_the_verdict_turns() 
 def test_headline_names_the_conditions_that_disagree(night: list[float], disagree: bool) -> None:
     """The weighted mean alone would say that one sensor is better, and that nobody sees it."""
     day, night_part = ([1.0, 1.01], [1.2, 1.21]), ([1.2, 1.21], night)
-    both = Averaged(tuple((0.5, observed({CHOSEN: own}, condition=name)) for name, own in (("day", day), ("night", night_part))))
+    both = Averaged(tuple((0.5, observed({STATED: own}, condition=name)) for name, own in (("day", day), ("night", night_part))))
     words = whole_verdict(both, "b", "view")
     mean = f"{verdict(both, 'b')} with match view"
     assert (words != mean) == disagree
@@ -205,11 +209,11 @@ def test_headlines_are_short_whatever_the_result_is() -> None:
     noisy = "not converged: render noise is 2.4 of the sensor's noise, target 0.2"
     cause = "a: the lightest dot is 0.99 of a step of the ADC above black"
     shown = (
-        {CHOSEN: A_BY_02}, {CHOSEN: NEITHER, NEAR: NEITHER}, {CHOSEN: A_BY_02, NEAR: A_BY_06}, {CHOSEN: A_BY_02, FEW: B_BY_02},
-        {CHOSEN: A_BY_02, FEWER: NEITHER, FEW: B_BY_02, NEAR: NEITHER, FAR: B_BY_02},
+        {STATED: A_BY_02}, {STATED: NEITHER, HALF: NEITHER}, {STATED: A_BY_02, HALF: A_BY_06}, {STATED: A_BY_02, TWICE: B_BY_02},
+        {STATED: A_BY_02, HALF: NEITHER, TWICE: B_BY_02},
     )  # fmt: skip
     for values, film, unsure in product(shown, (0.0, 0.1, None), ("", noisy, cause, f"{cause}; {noisy}")):
-        given = unsure_of(viewed_of(values, film), unsure)
+        given = unsure_of(compared(values, film), unsure)
         found = answer(given, "b", "view")
         head, *rest = map(plain_text, (found.head, *found.below))
         assert len(head.split()) <= MOST_WORDS
@@ -223,8 +227,8 @@ def test_headline_says_that_a_render_is_too_noisy() -> None:
     pair = [1.0, 1.01], [1.2, 1.21]
 
     def of(*fractions: float) -> Averaged:
-        noises = tuple({"fraction": fraction, "target": 0.2, "delta_e": 0.1 * fraction} for fraction in fractions)
-        return Averaged(((1.0, observed({CHOSEN: pair}, noises=noises)),))
+        noises = tuple({"fraction": fraction, "target": 0.2, "delta_e": fraction / 10} for fraction in fractions)
+        return Averaged(((1.0, observed({STATED: pair}, noises=noises)),))
 
     worst = "not converged: render noise is 2.4 of the sensor's noise, target 0.2"
     assert whole_verdict(of(0.3, 2.4), "b", "own") == f"{verdict(of(0.3, 2.4), 'b')} with match own; {worst}"

@@ -15,12 +15,11 @@ import pixsim
 from pixsim.base.headline import MOST_WORDS
 from pixsim.measure.sfr import sfr_parts
 from pixsim.report.uncertainty import uncertainty_blocks
-from pixsim.report.wording import compromise_answer
+from pixsim.report.wording import weighted_answer
 from pixsim.sensor.outside import outside_words
 from pixsim.show.document import Answer, Text, headline, plain_text
 from pixsim.studies.run import RunResult
 from pixsim.studies.sentences import optimum_line, optimum_parts, run_answers, score_parts
-from pixsim.studies.viewing import Viewing
 from pixsim.viewer.causes import Cause
 from pixsim.viewer.light_error import LightError
 from pixsim.viewer.metrics import DELTA_E
@@ -56,10 +55,10 @@ def curves() -> Iterator[Any]:
     for interval, inside, alike, swings, film, header, causes in chosen:
         within = {"within_1_percent_um": (None, None), "within_2_percent_um": (None, None)}
         best = SimpleNamespace(pitch_um=7.5, inside=inside, mean_delta_e=76.5, interval_um=interval, **within)
-        view = SimpleNamespace(viewing=Viewing(512, 11.5), inside=True, optimum=best)
+        other = SimpleNamespace(dots=1024, optimum=best)
         yield SimpleNamespace(
             label="data sheet", optimum=best, pitch_um=pitch_um, light=LightError.of(header, film, causes), fit_swings=swings,
-            no_difference_um=alike, mean=lambda: np.full(8, 76.5), from_smallest=True, viewed=[view, view],
+            no_difference_um=alike, mean=lambda: np.full(8, 76.5), from_smallest=True, on_displays=[other, other],
             fit=SimpleNamespace(delta_e=np.full(8, 77.0)), judged_by_delta_e=True, fitted_range_um=(0.47, 15.0), developed="",
         )  # fmt: skip
 
@@ -104,13 +103,13 @@ def test_headlines_of_studies_are_short() -> None:
     assert count > 1000
 
 
-def test_headlines_of_compromises_are_short() -> None:
+def test_headlines_of_weighted_means_are_short() -> None:
     for interval in ((2.3, 2.9), (None, 2.9), (2.3, None), (None, None)):
         best = SimpleNamespace(value=0.615, pitch_um=2.45, interval_um=interval)
-        regret = SimpleNamespace(delta_e=0.027, pitch_um=2.26, interval_um=interval, condition="a dim room with a warm lamp")
-        answer = compromise_answer(SimpleNamespace(label="data sheet", best=best, regret=regret, metric=DELTA_E))
+        weighted = SimpleNamespace(optimum=best, metric=DELTA_E, weight=None)
+        answer = weighted_answer(SimpleNamespace(label="data sheet", criteria=(weighted,)))  # type: ignore[arg-type]
         assert len(plain_text(answer.head).split()) <= MOST_WORDS
-        assert "worst regret" in str(answer)
+        assert str(plain_text(answer.head)).startswith("data sheet: least weighted mean ΔE 0.615 at 2.45 µm")
 
 
 @pytest.mark.parametrize("share_at_ends", [0.0, 0.123])

@@ -195,7 +195,7 @@ def test_keep_or_write_other_code_is_written(
 
 def test_digest_of_report_unknown_kind_raises(made: tuple[StudyResult, Path]) -> None:
     with pytest.raises(TypeError, match="a report made from object"):
-        digest_of_report(replace(made[0], uncertainty=(object(),)))
+        digest_of_report(replace(made[0], view={"what": object()}))
 
 
 # --- commands ---

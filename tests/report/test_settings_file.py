@@ -92,7 +92,7 @@ COMPARED = ("scores", "difference", "interval_delta_e", "film_delta_e", "scored_
         pytest.param("run csf --config sheet.toml --tolerance-delta-e 0.5 --resolution 48 --display.dots 64",
                      "run csf", RUN_FILES, SCORE, marks=pytest.mark.slow),  # many renders
         (PAIR, f"{REPEATED} --scene csf --config settings.toml --match",
-         (), (*COMPARED, "probability_a_better", "views", "verdicts")),
+         (), (*COMPARED, "probability_a_better", "displays", "verdicts")),
         (f"{PAIR} --study dusk.toml", f"{REPEATED} --study settings.toml --match view --repeats 2", (), (*COMPARED, "conditions")),
     ],
 )  # fmt: skip

@@ -509,7 +509,7 @@ def test_study_command_with_axis_writes_page_maps_and_cases(tmp_path: Path, monk
     written = json.loads(Path("out/summary.json").read_text(encoding="utf-8"))
     assert [curve["at"] for curve in written["curves"]] == [{"pixel.prnu": 0.01}, {"pixel.prnu": 0.03}]
     names = {str(path.relative_to("out")) for path in Path("out").rglob("*") if path.is_file()}
-    assert names >= {"report.html", "optima.csv", "conditions.csv", "settings.toml", "figures/conditions_1.svg"}
+    assert names >= {"report.html", "optima.csv", "regrets.csv", "settings.toml", "figures/regrets_1.svg"}
     assert "pixel.prnu_0.01_night/report.html" in names
     assert any(name.startswith("figures/optimum_by") for name in names)
     assert "least weighted mean ΔE" in Path("out/report.html").read_text(encoding="utf-8")

@@ -161,7 +161,7 @@ def weighted_of(day: np.ndarray, night: np.ndarray) -> Averaged:
     """A comparison of these ΔE, each (2 sensors, repeats), with weights 3 to 1."""
 
     def of(values: np.ndarray) -> Any:
-        sensors = tuple(SimpleNamespace(name=name, viewed=own[None]) for name, own in zip("ab", values, strict=True))
+        sensors = tuple(SimpleNamespace(name=name, on_displays=own[None]) for name, own in zip("ab", values, strict=True))
         return SimpleNamespace(sensors=sensors)
 
     return Averaged(((0.75, of(day)), (0.25, of(night))))

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,13 +21,11 @@ from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.sensor.integration import pixels_on
 from pixsim.show.document import Table
 from pixsim.studies import evaluations, film_error
-from pixsim.studies.averages import Averaged
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.lineup import Lineup, pixels_of, prepare
 from pixsim.studies.matched_cameras import matched_cameras
 from pixsim.studies.paired import mean_interval, probability_above_zero
-from pixsim.studies.verdicts import facts, ranking_words, verdict_parts
-from pixsim.studies.viewing import Viewing, ViewingRange
+from pixsim.studies.verdicts import facts, verdict_parts
 
 # A chart without samples, few pixels and dots: a comparison takes 0.2 s. Measuring the error of a film takes most of the time.
 SMALL: dict[str, Any] = {"display": {"dots": 48}, "resolution": 48}
@@ -281,24 +277,32 @@ def test_interval_and_probability_are_student_t() -> None:
     assert [probability_above_zero(np.full(4, value)) for value in (-1.0, 0.0, 2.0)] == [0.0, 0.5, 1.0]
 
 
-# --- the range of viewing ---------------------------------------------------------------------------------------------
+# --- other displays -------------------------------------------------------------------------------------------------------
 
 
-def test_range_has_the_dots_of_both_sensors_and_half_and_twice_the_distance(tmp_path: Path) -> None:
-    """Without a stated display: a sensor of 64 columns, one of 150, and a number between, since their ratio is above 1.25."""
+def test_frames_are_scored_on_half_and_twice_the_dots(tmp_path: Path) -> None:
+    """Without a stated display it has the columns of the finer sensor; the fewest dots of a display are 8."""
     files = [sheet(tmp_path / "a.toml", pixels="[64, 48]"), sheet(tmp_path / "b.toml", pitch_um=8.0, pixels="[150, 112]")]
-    found = prepared(files).viewing
-    assert found.chosen == Viewing(150, 23.0)
-    assert set(found.viewings) == {Viewing(dots, degree) for dots in (64, 98, 150) for degree in (11.5, 23.0, 46.0)}
-    assert all(found.holds(each) for each in found.viewings)
-    stated = prepared(files, display={"dots": 100}).viewing
-    assert stated.chosen == Viewing(100, 23.0)
-    assert {each for each in stated.viewings if stated.holds(each)} == {Viewing(100, degree) for degree in (11.5, 23.0, 46.0)}
-    assert {each.dots for each in stated.viewings} == {64, 100, 150}
-    assert prepared([Path("0.35um"), Path("4t-bsi")]).viewing.viewings[0] == Viewing(512, 23.0)
+
+    def dots(files: list[Path], **options: Any) -> list[int]:
+        return [display.dots for display in prepared(files, **options).displays]
+
+    assert dots(files) == [150, 75, 300]
+    assert dots(files, display={"dots": 100}) == [100, 50, 200]
+    assert dots(files, display={"dots": 12}) == [12, 8, 24]
+    assert dots([Path("0.35um"), Path("4t-bsi")]) == [512, 256, 1024]
 
 
-def test_each_viewing_is_a_comparison_with_that_display(tmp_path: Path) -> None:
+def test_display_without_dots_inside_the_border_is_left_out(tmp_path: Path) -> None:
+    """5 × 4 pixels: a border of 1.5 pixels takes 5 of 13 rows of dots on each side, and 3 of 6 with half of them."""
+    files = [sheet(tmp_path / "a.toml", pixels="[5, 4]"), sheet(tmp_path / "b.toml", pitch_um=16.0, pixels="[5, 4]")]
+    lineup = prepared(files, display={"dots": 16})
+    assert [display.dots for display in lineup.displays] == [16, 16, 32]
+    assert [display.dots for display in lineup.different_displays] == [16, 32]
+
+
+@pytest.mark.parametrize("place", [1, 2])
+def test_difference_on_another_display_is_that_of_a_comparison_with_it(place: int, tmp_path: Path) -> None:
     """The same frames on another display, which only then is stated: bit for bit, with one chart and one film.
 
     Other pixels, dies and lenses: the ideal images show the same scene, dot by dot.
@@ -311,12 +315,11 @@ def test_each_viewing_is_a_comparison_with_that_display(tmp_path: Path) -> None:
     assert result.sensors[0].irradiance.shape == result.sensors[1].irradiance.shape
     assert first.ideal == pytest.approx(second.ideal, abs=0.02)  # two steps of 8 bits at white: magnification changes the fall-off
     assert first.border_um[1] / 1280 == pytest.approx(second.border_um[1] / 1274, rel=1e-9)
-    views = result.views("b")
-    assert len(views) == 9
-    for view in views[::4]:
-        alone = pixsim.compare(files, display=view.viewing._asdict(), **options)
-        assert alone.difference["b"] == view.difference
-        assert alone.interval_delta_e["b"] == view.interval_delta_e
+
+    difference = result.display_differences("b")[place]
+    alone = pixsim.compare(files, display={"dots": difference.dots}, **options)
+    assert alone.difference["b"] == difference.difference
+    assert alone.interval_delta_e["b"] == difference.interval_delta_e
 
 
 def test_another_sensor_changes_no_verdict_on_a_pair(tmp_path: Path) -> None:
@@ -333,27 +336,6 @@ def test_another_sensor_changes_no_verdict_on_a_pair(tmp_path: Path) -> None:
     assert among.pair("third").answers() == pixsim.compare([files[0], more], **options).answers()
     assert among.as_dict()["verdicts"]["b"] == alone.as_dict()["verdicts"]["b"]
     assert among.scores["b"] != alone.scores["b"], "they are on one display for all"
-
-
-def test_ranking_separates_what_is_sure_under_all_viewings() -> None:
-    """a is best everywhere; b and c change places between two displays; d is worst, on a stated display only."""
-    rows = {"d": (9.0, 0.5), "c": (3.0, 2.5), "a": (1.0, 1.0), "b": (2.0, 3.0)}
-    viewed = {name: np.array([[value, value + 0.01] for value in own]) for name, own in rows.items()}
-    ranges = ViewingRange((Viewing(512, 23.0), Viewing(256, 23.0)))
-    sensors = tuple(SimpleNamespace(name=name, viewed=own, steps=NoFilm()) for name, own in viewed.items())
-
-    def of(viewing: ViewingRange, left_out: int = 0) -> Averaged:
-        observed = SimpleNamespace(lineup=SimpleNamespace(viewing=viewing), sensors=sensors[left_out:])
-        return Averaged(((1.0, observed),))  # type: ignore[arg-type]
-
-    assert of(ranges).ranking == (("a", "b", "c", "d"),)
-    assert of(replace(ranges, stated=("dots",))).ranking == (("a",), ("b",), ("c",), ("d",))
-    without = of(ranges, left_out=1)
-    assert without.ranking == (("a",), ("b", "c"))
-    assert ranking_words(without, "own") == (
-        "ranking with match own, the best first, all on one display: a; then b and c (whose order depends on the "
-        "viewing or is not sure)"
-    )
 
 
 class NoFilm:

@@ -13,7 +13,7 @@ from helpers.sheets import sheet
 from helpers.tiny import toml_of
 
 import pixsim
-from pixsim.studies.comparison_cases import ComparedCases, cases_of_comparison
+from pixsim.studies.comparison_cases import ComparedCases, cases_of_comparison, sign_of
 from pixsim.studies.study_settings import Study
 
 LIGHT = {"name": "light", "set": "scene.parameters.luminance_cd_per_m2", "values": [100.0, 0.05, 1.0]}
@@ -26,17 +26,19 @@ SMALL = "--display.dots 32 --resolution 48 --repeats 3 --jobs 1"
 def cases(axes: list[dict[str, Any]], signs: list[int]) -> ComparedCases:
     """Comparisons of a and b at the values of some axes, with these signs of the difference."""
     found_axes, found = cases_of_comparison(Study.model_validate({"name": "axes", "axis": axes}))
-    views = [(SimpleNamespace(inside=True, sign=sign),) for sign in signs]
+    on_display = [(SimpleNamespace(sign=sign),) for sign in signs]
     prepared = SimpleNamespace(match="lens")
-    results = [SimpleNamespace(names=("a", "b"), views=lambda _, own=own: own, prepared=prepared) for own in views]
+    results = [
+        SimpleNamespace(names=("a", "b"), display_differences=lambda _, own=own: own, prepared=prepared) for own in on_display
+    ]
     return ComparedCases(found_axes, tuple(zip(found, results, strict=True)))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
     ("axes", "signs", "words"),
     [
-        ([LIGHT], [1, -1, 0], "a is better from 100 cd/m² on, neither at 1 cd/m², b up to 0.05 cd/m² (light)"),
-        ([LIGHT], [-1, 1, -1], "b is better from 1 cd/m² on, a up to 0.05 cd/m² (light)"),
+        ([LIGHT], [1, -1, 0], "a is better at light 100, b at light 0.05, neither at light 1"),
+        ([LIGHT], [-1, 1, -1], "a is better at light 0.05, b at light 100; light 1"),
         ([LIGHT], [1, 1, 1], "a is better than b in all 3 cases"),
         ([LIGHT], [-1, -1, -1], "b is better than a in all 3 cases"),
         ([LIGHT], [0, 0, 0], "neither a nor b is surely better in any of 3 cases"),
@@ -50,6 +52,15 @@ def cases(axes: list[dict[str, Any]], signs: list[int]) -> ComparedCases:
 )
 def test_headline_says_where_which_is_better(axes: list[dict[str, Any]], signs: list[int], words: str) -> None:
     assert cases(axes, signs).headline("b") == f"{words} with match lens"
+
+
+@pytest.mark.parametrize(
+    ("signs", "sign"), [((1, 1, 1), 1), ((-1, -1, 0), -1), ((1, 0, 0), 1), ((1, -1, 1), 0), ((0, 1, 1), 0), ((-1, -1, 1), 0)]
+)
+def test_sensor_is_better_unless_the_other_one_is_on_another_display(signs: tuple[int, ...], sign: int) -> None:
+    """Of the stated display, and of others, where it may be unsure."""
+    on_displays = tuple(SimpleNamespace(sign=each) for each in signs)
+    assert sign_of(SimpleNamespace(display_differences=lambda _: on_displays), "b") == sign  # type: ignore[arg-type]
 
 
 def test_conditions_hold_at_each_value() -> None:

@@ -1,4 +1,4 @@
-"""The optimum of a data sheet's study on other displays than the chosen one."""
+"""The optimum of a data sheet's study on displays with half and with twice the dots."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ import pixsim
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.studies.result import StudyResult
 from pixsim.studies.sentences import optimum_line
-from pixsim.studies.viewing import Viewing
 
 OPTIONS: dict[str, Any] = {"resolution": 48, "repeats": 2, "jobs": 1, "refine": False, "parameters": {MAX_LP_PER_MM: 20.0}}
 SIZES = {"min_um": 10.0, "max_um": 40.0, "count": 5}
@@ -25,31 +24,24 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
     return pixsim.study("pixel-size", folder / "out", config=sheet(folder / "a.toml"), pitch=SIZES, **OPTIONS)
 
 
-def test_each_viewing_is_the_study_with_that_display(result: StudyResult, tmp_path: Path) -> None:
-    """Half and twice the dots of 64 columns, and half and twice the dots per degree; bit for bit, with as many sensors."""
+@pytest.mark.parametrize("place", [0, 1])
+def test_optimum_on_another_display_is_that_of_the_study_with_it(result: StudyResult, place: int, tmp_path: Path) -> None:
+    """Half and twice the dots of 64 columns; bit for bit, with as many sensors."""
     (curve,) = result.curves
-    others = ((32, 23.0), (128, 23.0), (64, 11.5), (64, 46.0))
-    assert {each.viewing for each in curve.viewed} == {Viewing(*each) for each in others}
-    assert all(each.inside for each in curve.viewed)
-    assert len({each.optimum.mean_delta_e for each in curve.viewed}) == 4
-    for each in curve.viewed[1:3]:
-        path, display = sheet(tmp_path / "a.toml"), each.viewing._asdict()
-        alone = pixsim.study("pixel-size", tmp_path / str(each.viewing), config=path, display=display, pitch=SIZES, **OPTIONS)
-        assert alone.curves[0].optimum == each.optimum
-        assert not any(own.inside for own in alone.curves[0].viewed), "both are stated"
+    other = curve.on_displays[place]
+    assert other.dots == (32, 128)[place]
+    path, display = sheet(tmp_path / "a.toml"), {"dots": other.dots}
+    alone = pixsim.study("pixel-size", tmp_path / "out", config=path, display=display, pitch=SIZES, **OPTIONS)
+    assert alone.curves[0].optimum == other.optimum
 
 
-def test_headline_says_how_far_the_optimum_goes(result: StudyResult) -> None:
+def test_headline_has_the_optimum_on_other_displays(result: StudyResult) -> None:
     (curve,) = result.curves
-
-    def seen(*sizes_um: float, inside: bool = True) -> str:
-        optima = [replace(each.optimum, pitch_um=size, inside=True) for each, size in zip(curve.viewed, sizes_um, strict=True)]
-        views = [replace(each, optimum=best, inside=inside) for each, best in zip(curve.viewed, optima, strict=True)]
-        own = replace(curve.fit, optimum=replace(curve.optimum, pitch_um=20.0))
-        return optimum_line(replace(curve, fit=own, viewed=tuple(views)))
-
-    words = f"; in the range of viewing the best size goes from 15 to 25 µm: 15 µm on {curve.viewed[0].viewing}, 17 µm on "
-    assert words in seen(15.0, 17.0, 25.0, 19.0)
-    assert seen(20.0, 20.0, 20.1, 20.0).endswith("; in the range of viewing it is 20 µm too")
-    assert "on other displays than the one stated the best size goes from 15 to 25" in seen(15.0, 17.0, 25.0, 19.0, inside=False)
-    assert result.as_dict()["curves"][0]["views"] == [each.as_dict() for each in curve.viewed]
+    sizes_um = {15.0: True, 40.0: False}
+    on_displays = [
+        replace(other, optimum=replace(other.optimum, pitch_um=size_um, inside=inside))
+        for other, (size_um, inside) in zip(curve.on_displays, sizes_um.items(), strict=True)
+    ]
+    words = "; the best size is 15 µm on 32 dots, 40 µm on 128 dots (an end of the range of sizes)"
+    assert optimum_line(replace(curve, on_displays=tuple(on_displays))).endswith(words)
+    assert result.as_dict()["curves"][0]["displays"] == [other.as_dict() for other in curve.on_displays]

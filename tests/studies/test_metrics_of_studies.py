@@ -1,4 +1,4 @@
-"""Studies, runs and comparisons that judge by several metrics: columns, optima, what they agree on, and resuming."""
+"""Studies, runs and comparisons that judge by several metrics: columns, optima, regrets, and resuming."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from helpers.tiny import rows, tiny
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.report.axes import axes_files, axes_page, axes_summary, conditions_table, optima_columns
+from pixsim.report.axes import axes_files, axes_page, axes_summary, optima_columns, regrets_columns
 from pixsim.report.study import study_document
-from pixsim.show.document import Listed
+from pixsim.show.document import Fact, Table
 from pixsim.show.render import text
-from pixsim.studies.agreement import agreement_of, agreement_words, place_words, share_of_best
-from pixsim.studies.conditions import compromises_of
+from pixsim.studies.conditions import condition_regrets
 from pixsim.studies.lineup import prepare as lineup
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.pixels import photodiode_widths_um
 from pixsim.studies.preparation import prepare
 from pixsim.studies.quanta import quanta_of_study
+from pixsim.studies.regret import metric_regrets, percent, share_of_best
 from pixsim.studies.result import Curve, StudyResult, fit_of_metric, shown_mean_and_ci95, told_pitches
-from pixsim.studies.sentences import contrast_words
+from pixsim.studies.sentences import contrast_words, study_facts
 from pixsim.studies.settings_text import settings_text
 from pixsim.studies.study_file import load_study
 from pixsim.studies.threshold import MOST_RENDERS, Search, Threshold
@@ -83,57 +83,28 @@ def test_metric_without_an_optimum_has_none(name: str, values: list[list[float]]
     assert fit_of_metric(METRICS[name], PITCH_UM, np.array(values), np.asarray) is None
 
 
-@pytest.mark.parametrize(
-    ("best_um", "most_um", "words"),
-    [
-        (3.0, 3.02, "the judges agree, both within "),
-        (0.5, 0.5, "the judges agree as far as the sizes tell: the best is the smallest one tried, 2.00 µm, or beyond"),
-        (20.0, 20.0, "the judges agree as far as the sizes tell: the best is the largest one tried, 6.00 µm, or beyond"),
-    ],
-)
-def test_judges_agree_where_their_intervals_overlap(best_um: float, most_um: float, words: str) -> None:
-    own = curve_of(best_um, most_um)
-    assert agreement_of(own).together
-    assert words in agreement_words(own)[0]
+def test_regrets_of_metrics_match_closed_forms() -> None:
+    """At a factor of 4.2/2.4 of the best size, a parabola of bend 1 is ln² above its least value 1, within its scatter."""
+    regrets = metric_regrets(curve_of(2.4, 4.2))
+    assert [criterion.name for criterion in regrets.criteria] == ["mean ΔE", "information"]
+    wanted = np.log(4.2 / 2.4) ** 2
+    np.testing.assert_allclose(regrets.matrix, [[0.0, wanted], [wanted, 0.0]], atol=0.05)  # sizes are known to 2 %
+    row = next(iter(regrets.table().rows))
+    assert row[5:] == ("–", percent(regrets.matrix[0, 1]))
 
 
-def test_judges_disagree_and_say_what_each_loses() -> None:
-    """At a factor of 4.2/2.4 of the best size a parabola of bend 1 has lost 1 - 1/(1 + ln²): 24 %, within its scatter."""
-    own = curve_of(2.4, 4.2)
-    found = agreement_of(own)
-    assert found.together is False
-    wanted = 1 / (1 + np.log(4.2 / 2.4) ** 2)
-    assert found.kept["delta_e"]["information"] == pytest.approx(wanted, abs=0.03)
-    assert found.kept["information"]["delta_e"] == pytest.approx(wanted, abs=0.03)
-    first, *others = agreement_words(own)
-    assert "the judges disagree; their best sizes are 2." in first
-    assert [words.split(":")[0] for words in others] == ["mean ΔE", "information"]
-    assert "it loses 2" in others[0]
+def test_metric_without_a_best_size_says_so(judged: tuple[StudyResult, Path]) -> None:
+    result = replace(judged[0], curves=(replace(judged[0].curves[0], fits={}),))
+    words = [block.text for block in study_facts(result) if isinstance(block, Fact)]
+    assert words[0].endswith("information tells no best size, since it is 0 or below, or has no number, for too many sizes")
 
 
-def test_judge_without_a_best_size_says_so() -> None:
-    words = agreement_words(replace(curve_of(3.0, 3.0), fits={}))
-    assert words == ["one: information tells no best size, since it is 0 or below, or has no number, for too many sizes"]
-
-
-def test_interval_at_an_end_of_the_sizes_is_no_interval() -> None:
-    """A loss without scatter that rises from the smallest size on: its interval would be from there to there."""
-    rising = np.repeat(PITCH_UM[:, None], 4, axis=1)
-    place = place_words(fit_curve(PITCH_UM, rising).optimum, PITCH_UM)
-    assert place == "2.00 µm, the end of the sizes (95 %: at it or beyond)"
-
-
-def test_nobody_agrees_with_a_judge_who_has_no_wish() -> None:
-    """A metric that is the same at all sizes may be best at any of them; of a best value of 0, nothing is left elsewhere."""
-    own = curve(parabola(3.0), np.full((PITCH_UM.size, 28), 50.0))
-    found = agreement_of(own)
-    assert found.together is None
-    assert found.as_dict()["agree"] is None
-    assert "whether the judges agree is not known; information may be best at any" in agreement_words(own)[0]
+def test_nothing_is_left_of_a_best_value_of_zero() -> None:
+    own = curve_of(3.0, 3.0)
     least = np.maximum(np.abs(own.fit.pitch_um - PITCH_UM[3]) - 0.1, 0.0)
-    kept = share_of_best(replace(own.fit, delta_e=least))
-    assert kept.max() == 1.0
-    assert kept[0] == 0.0
+    share = share_of_best(replace(own.fit, delta_e=least))
+    assert share.max() == 1.0
+    assert share[0] == 0.0
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +123,7 @@ def test_study_has_columns_and_optima_of_each_metric(judged: tuple[StudyResult, 
     assert own.optimum is own.optima["delta_e"]
     summary = result.as_dict()["curves"][0]
     assert summary["optima"]["information"]["value"] == own.optima["information"].value
-    assert summary["judges"] == agreement_of(own).as_dict()
+    assert summary["regrets"] == metric_regrets(own).as_dict()
     assert summary["metrics"]["mtf50_cy_per_mm"] == own.mean("mtf50_cy_per_mm").tolist()
 
 
@@ -244,7 +215,7 @@ def test_study_may_judge_by_another_metric_first(tmp_path: Path) -> None:
     assert "Noise-equivalent quanta" in page
     assert "No best size is told by" in page, "an MTF50 tells none"
     assert rows(tmp_path / "figures" / "neq.csv")[0].keys() == {"sensor", "pitch_um", "frequency_cy_per_mm", "neq_per_mm2"}
-    assert (tmp_path / "figures" / "judges.svg").is_file()
+    assert (tmp_path / "figures" / "regrets.svg").is_file()
 
 
 def test_command_line_leaves_the_target_out_by_values_of_parameters(tmp_path: Path) -> None:
@@ -458,12 +429,16 @@ def test_size_worth_nothing_or_without_a_number_is_a_point_that_the_curve_does_w
     assert own.judged_by("information").judged_by("delta_e").optimum is own.optimum
 
 
-def test_nothing_is_left_of_a_judge_at_a_size_where_it_sees_nothing() -> None:
+def test_nothing_is_left_of_a_metric_at_a_size_where_it_is_zero() -> None:
     """ΔE is best at 6 µm, where the other is 0: all of it is lost there."""
     values = 50.0 / parabola(2.9)
     values[6] = 0.0
-    found = agreement_of(curve(parabola(6.0, 3.0), values))
-    assert found.kept["information"]["delta_e"] == pytest.approx(0.0, abs=0.05)
+    regrets = metric_regrets(curve(parabola(6.0, 3.0), values))
+    assert regrets.matrix[1, 0] > 19, "less than 5 % is left"
+    infinite = replace(regrets.criteria[0], optimum=replace(regrets.criteria[0].optimum, pitch_um=6.0))
+    at_zero = replace(regrets, criteria=(infinite, regrets.criteria[1]))
+    assert at_zero.as_dict()["regret"][1][0] is None
+    assert [*at_zero.table().rows][1][5] == "∞"
 
 
 @pytest.mark.parametrize(
@@ -492,7 +467,7 @@ def test_size_at_which_the_first_metric_fails_does_not_end_a_study(
 
 
 def test_study_of_conditions_judges_by_any_metric_first(tmp_path: Path) -> None:
-    """Its tables have the compromise and the optima by each metric, in its own unit and direction."""
+    """Its tables have the regrets and the optima by each metric, in its own unit and direction."""
     of_light = {name: {"scene": {"parameters": {"luminance_cd_per_m2": each}}} for name, each in (("day", 400), ("night", 10))}
     light = [{"name": name, "set": own} for name, own in of_light.items()]
     axis = [{"name": "f", "set": "camera.f_number", "values": [2.0, 4.0]}]
@@ -502,17 +477,15 @@ def test_study_of_conditions_judges_by_any_metric_first(tmp_path: Path) -> None:
     assert not any(name.startswith("mtf50") for name in optima), "it tells no best size"
     assert list(optima["best_information"]) == [each.optimum.value for each in result.curves]
     assert list(optima["best_delta_e"]) == [each.optima["delta_e"].value for each in result.curves]
-    compromises = compromises_of(result.study, result.curves)
-    table = conditions_table(compromises)
-    assert set(table["metric"]) == {"information", "delta_e"}
-    assert "greatest weighted information" in table["pixel_of"]
-    first = axes_summary(result, compromises)["compromises"][0]
-    mean = np.mean([first["conditions"][name]["optimum"]["value"] for name in ("day", "night")])
-    assert 0.9 * mean < first["best_weighted_mean"]["value"] <= mean, "no size is better than each condition's own"
-    assert max(first["least_worst_regret"]["regrets"].values()) == pytest.approx(first["least_worst_regret"]["regret"])
-    assert "least_weighted_delta_e" in first["others"]["delta_e"]
-    page = axes_page(result, compromises, {}, [])
-    listed = [str(item) for block in page.sections[0].blocks if isinstance(block, Listed) for item in block.items]
-    assert ["weighted mean ΔE" in words for words in listed] == [True] * len(compromises)
-    names = {"information_by_pitch_and_f.svg", "optimum_by_f.svg", "conditions_1.svg"}
+    regrets = condition_regrets(result.study, result.curves)
+    table = regrets_columns(regrets)
+    assert list(table["metric"]) == [name for _ in range(2) for name in ("information", "delta_e") for _ in range(3)]
+    first = axes_summary(result, regrets)["regrets"][0]
+    assert first["names"] == ["day", "night", "weighted mean"]
+    values = [optimum["value"] for optimum in first["optima"]]
+    assert 0.9 * np.mean(values[:2]) < values[2] <= np.mean(values[:2]), "no size is better than each condition's own"
+    page = axes_page(result, regrets, {}, [])
+    tables = [block for block in page.sections[0].blocks if isinstance(block, Table)]
+    assert len(tables) == len(regrets) == 4, "two values of the axis, two metrics"
+    names = {"information_by_pitch_and_f.svg", "optimum_by_f.svg", "regrets_1.svg"}
     assert names <= {Path(name).name for name in axes_files(result.study)}
