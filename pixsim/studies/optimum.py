@@ -45,14 +45,13 @@ from pixsim.sensor.quantities import Pitch
 
 NO_VISIBLE_DELTA_E = 0.05  # of mean ΔE between two pixel sizes
 CONFIDENCE = 0.95
-# Part of the posterior that is stated, which holds the minimum in 95 % of simulated studies (docs/uncertainty.md).
+# Part of the posterior that is stated. It, the prior and `LOCAL_SPREAD` were chosen for the coverage in docs/uncertainty.md.
 CREDIBILITY = 0.93
-# Stiffness k in units of the mean ΔE: dense sweeps gave 0.2 to 5 (tests/data/dense_sweeps), and a parabola has none.
+# Stiffness k in units of the mean ΔE: dense sweeps of ΔE gave 0.2 to 3.2 (tests/data/dense_sweeps), and a parabola has none.
 STIFFNESS = np.geomspace(1e-3, 32.0, 14)
 # Median and mean absolute logarithmic deviation of its prior, a Laplace distribution of log k: the tails admit a parabola.
 USUAL_STIFFNESS, STIFFNESS_SPREAD = 1.5, 0.7
-# Logarithmic standard deviation of the stiffness between the sizes beside the minimum over that of all sizes. By information, the
-# sizes of a study show 0.3 to 1.5 where the curve between them has 4.
+# Logarithmic standard deviation of the stiffness between the sizes beside the minimum over that of all sizes.
 LOCAL_SPREAD = 1.5
 LARGEST_LOCAL = 8.0  # that is assumed without being shown by the sizes; a larger one is that of the whole curve
 # Residual t in units of a sensor's noise; those sweeps gave at most 0.1, and with centred pixels (in release 1.0.0) 0.2 to 0.5.
@@ -76,8 +75,9 @@ class Optimum:
     """The pitch of minimum mean ΔE, with its uncertainty.
 
     pitch_um : minimum of the fitted curve
-    interval_um : (low, high), 95 % interval of the pitch of minimum expected ΔE: the middle 93 % of the posterior, which contain it
-        in at least 95 % of simulated studies. Where the curve may not be smooth it holds also all places where a
+    interval_um : (low, high), 95 % interval of the pitch of minimum expected ΔE: the middle 93 % of the posterior. In simulated
+        studies it held the minimum in 86 to 100 %, but far less often where a metric without noise has ripples shorter than the
+        steps of the sizes (docs/uncertainty.md). Where the curve may not be smooth it holds also all places where a
         convex curve could be least; at a sharp corner, fewer than 11 sizes contain the minimum less often (docs/uncertainty.md).
         None for an open end: the minimum may lie at or beyond the smallest or largest pitch tried
     mean_delta_e : of the fitted curve at `pitch_um`

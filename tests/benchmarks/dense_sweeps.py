@@ -78,6 +78,8 @@ def studies() -> dict[str, pixsim.Study]:
         "day_f8": line(8.0, "csf", 72, 1, 16, "delta_e", "information"),
         "information": line(2.8, "target", 72, 1, SENSORS, "information", "delta_e", "detectability"),
         "detectability": line(2.8, "target", 72, 1, SENSORS, "detectability", "delta_e", "information"),
+        "information_f8": line(8.0, "target", 72, 1, SENSORS, "information", "delta_e", "detectability"),
+        "detectability_f8": line(8.0, "target", 72, 1, SENSORS, "detectability", "delta_e", "information"),
     }
 
 

@@ -43,7 +43,10 @@ from pixsim.studies.optimum import FittedCurve
 
 OUT, OUT_STEEP = (Path(__file__).parents[1] / "data" / f"{name}.csv" for name in ("interval_coverage", "interval_coverage_steep"))
 OUT_EVEN = OUT.with_name("interval_coverage_even.csv")
-EVEN_CURVES = ("information", "detectability", "day", "day_f8", "parabola", "cubic", "powers")
+EVEN_CURVES = (
+    *("information", "information_f8", "detectability", "detectability_f8", "day", "day_f8"),
+    *("parabola", "cubic", "powers"),
+)
 EVEN_EXACT = ("parabola_exact", "cubic_exact", "powers_exact")
 EVEN_PITCHES = (5, 7, 11)
 CURVES = ("chen2000_0.35um", "evening", "flat", "near_an_end", "skewed")

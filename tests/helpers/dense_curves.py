@@ -48,7 +48,7 @@ FORMS: dict[str, tuple[float, float, Callable[[Array], Array]]] = {
 }
 FORM_NOISE = 0.01
 # Metrics of which more is better, without noise: their reciprocals are fitted, through all values of the sweep.
-WITHOUT_NOISE = ("information", "detectability")
+WITHOUT_NOISE = ("information", "information_f8", "detectability", "detectability_f8")
 EVEN_ENDS_UM, EVEN_ENDS_SPREAD = (1.2, 6.5), 0.2  # ends of sizes in equal ratios, and how far their logarithms are drawn from them
 # Scatter of a size that agrees with the dots over that of the others: 1.3 to 1.8 % over .2 to .5 % of the mean ΔE.
 LOUD_NOISE = 4.0

@@ -421,8 +421,8 @@ EVEN_STUDIES = 25
 def test_fit_curve_interval_coverage_of_even_sizes() -> None:
     """Of metrics without noise, of ΔE, and of known curves, at least 90 % of 150 studies with numbers from fixed seeds.
 
-    An interval that covers 95 % covers fewer of 150 studies 4 times in 1000. Without `LOCAL_SPREAD` it covers 37 % for information
-    at 7 sizes. The whole table is made by tests/benchmarks/interval_coverage.py --even.
+    An interval that covers 95 % covers fewer of 150 studies 4 times in 1000. That of release 1.1 covered 22 of 60 for
+    information at 7 sizes. The whole table is made by tests/benchmarks/interval_coverage.py --even.
     """
     held: dict[str, int] = {}
     for curve, pitches in EVEN:
@@ -462,7 +462,7 @@ def test_fit_curve_interval_coverage(curve: str, repeats: int) -> None:
     """In at least 90 % of the studies, whose numbers are drawn from fixed seeds; and no interval is far longer than it must be.
 
     An interval that covers 95 % would cover fewer of 200 studies by chance 1 time in 1000. Smooth curves with little noise are
-    covered in 97 to 100 % (tests/data/interval_coverage.csv), so that half an interval is up to three times the error.
+    covered more often, so that half an interval is up to three times the error.
     """
     held, half_um, error_um = 0, [], []
     for number in range(STUDIES):
