@@ -70,7 +70,7 @@ def _optimum_parts(curve: Curve) -> list[Text]:
         metric, best = curve.metrics[0], curve.optimum
         value = f"{metric.title} {metric.shown(best.value)}"
         if best.inside:
-            stated = f"95 %: {interval_words(curve)}; {best.between_sizes_share:.0%} between sizes"
+            stated = f"95 %: {interval_words(curve)}; {100 * best.between_sizes_share:.0f} % between sizes"
             return [("optimal pixel size ", Strong(f"{best.pitch_um:.2f} µm"), f" ({stated}), {value}")]
         ends = f"no optimum between {curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm"
         return [ends, f"the best is {best.pitch_um:.2f} µm, the end of the range (95 %: {interval_words(curve)}), {value}"]
