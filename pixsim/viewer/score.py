@@ -1310,7 +1310,7 @@ def evaluate(
     >>> pixel, display = Pixel(pitch_um=84.8, prnu=0), Display(white_cd_per_m2=1000, dots=32)
     >>> score = evaluate(light, Camera(), pixel, display=display)
     >>> score.delta_e.shape, round(float(score.image.mean() / score.ideal.mean()), 2)
-    ((30, 30), 1.0)
+    ((28, 28), 1.0)
     """
     exposure, display = exposure or Exposure(), display or Display()
     correction, develop, motion = correction or NO_CORRECTION, develop or DEVELOP, motion or STILL
