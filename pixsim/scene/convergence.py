@@ -206,7 +206,7 @@ def _halves_delta_e(
 
     weight : samples of each half
     """
-    if delta_e_between is None or not all(any(picture.any() for picture in half) for half in halves):
+    if delta_e_between is None or not all(any(job.lit(picture) for picture in half) for half in halves):
         return None
     one, other = (job.image(_means(half, weight), 0) for half in halves)
     return delta_e_between(one, other) / 2

@@ -400,7 +400,7 @@ class Renderer:
 
         diffuser : what `self.diffuser` was before the render, behind which no time may be left for a white plate
         """
-        if not any(self._lit(picture) for picture in pictures):
+        if not any(self.lit(picture) for picture in pictures):
             raise invalid("rendered picture", "a black picture", "some light", self._cause_of_black())
         white = self.diffuser if diffuser is None else diffuser
         header = provenance(self.source, self.camera, self.plan, self.seed, spp) | {"film": list(self.size)} | white | more
@@ -449,7 +449,7 @@ class Renderer:
         dark_skies = warnings_of_skies(state, self.source.choice.reading)
         return cause_of_black(state, sensor, self.seen, self.size[1] / self.size[0], dark_skies)
 
-    def _lit(self, picture: Picture) -> bool:
+    def lit(self, picture: Picture) -> bool:
         """Return whether there is light in a picture (H, W, pulses)."""
         for rows in strips(*self.field):
             if picture[rows].any():

@@ -366,29 +366,6 @@ def test_film_of_each_sensor_is_measured_once(tmp_path: Path, monkeypatch: pytes
         assert sensor.steps.error() == anew.error()
 
 
-@pytest.mark.slow
-def test_film_error_of_difference_holds(tmp_path: Path) -> None:
-    """The difference on a coarse film is off by less than its stated error, against a film of four times the samples.
-
-    Both are differences of one pair with the same noise, as the film's error is measured.
-    """
-    files = [sheet(tmp_path / "a.toml", pitch_um=10.0), sheet(tmp_path / "b.toml", pitch_um=14.0, pixels="[46, 46]")]
-    options: dict[str, Any] = {"display": {"dots": 48}, "parameters": {MAX_LP_PER_MM: 40.0}, "repeats": 2, "jobs": 1}
-
-    def compared(resolution: int) -> tuple[float, Comparison]:
-        result = pixsim.compare(files, resolution=resolution, **options)
-        first, second = (sensor.steps.delta_e[0].mean() for sensor in result.sensors)
-        return float(second - first), result
-
-    fine, _ = compared(512)
-    for resolution in (64, 128):
-        coarse, result = compared(resolution)
-        error, own = result.film_delta_e["b"], [sensor.film_delta_e or math.nan for sensor in result.sensors]
-        assert error is not None
-        assert 0 < abs(coarse - fine) < error
-        assert 0.5 * sum(own) <= error < 1.5 * sum(own)
-
-
 def test_film_is_fine_enough_for_each(tmp_path: Path) -> None:
     few = sheet(tmp_path / "few.toml", pixels="[32, 32]"), sheet(tmp_path / "copy.toml", pixels="[32, 32]")
     many = sheet(tmp_path / "many.toml", pitch_um=2.0, pixels="[600, 600]")

@@ -119,7 +119,7 @@ SLOW: dict[str, dict[str, Any]] = {  # the same rules with other values of what 
     "flat frames": of("4t-bsi", pitch_um=2.0, dark_current_e_per_s=1e6) | {"correction": {"flat_frames": 2, "dark_frames": 2}},
     # At 25° the shading, 2e-4, is below the steps of the display.
     "chief rays": of("4t-bsi", pitch_um=2.0, dark_current_e_per_s=1e7) | {"camera": {"chief_ray_angle": [[0, 0], [0.07, 35]]}},
-    "real lens": of("0.35um") | {"lens": {"file": "cooke_triplet", "focal_length_mm": 1.0}},
+    "real lens": of("0.35um") | {"lens": {"file": "phone", "focal_length_mm": 1.0}},
 }
 
 # Every setting of a frame, moved; a tuple has alternatives, of which one is another value in any configuration.
