@@ -22,15 +22,20 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))
-from study_engine import small_study
-
 import pixsim
 
 TICKS = os.sysconf("SC_CLK_TCK")
 START_S = 120.0
+PITCHES_UM = (5.3, 6.0, 7.0, 8.5, 11.0)
 SHORT = 16  # sensors of each pixel size before the measurement
 QUIET = {"DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False", "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "1s"}
+
+
+def small_study(repeats: int, dots: int = 96) -> pixsim.Study:
+    """Study of as many film cells as dots, and of a die that grows with them."""
+    table = {"scene": {"file": "csf", "parameters": {"resolution": dots, "spp": 4}}, "camera": {"die_mm": 0.5 * dots / 96}}
+    table |= {"name": "small", "repeats": repeats, "pitch": {"values_um": PITCHES_UM}, "display": {"dots": dots}}
+    return pixsim.Study.model_validate(table)
 
 
 def processor_s(process: subprocess.Popen[bytes]) -> float:

@@ -2,9 +2,8 @@
 
     python tests/benchmarks/kernels.py
 
-Medians of wall times in one process; `versus.py` compares whole jobs with other programs. The unavoidable operations of an
-evaluation (one sensor at one pitch) are its random numbers, transforms and cube roots, of the same sizes, in padded planes and in
-place, in float32 as in a study.
+Medians of wall times in one process. The unavoidable operations of an evaluation (one sensor at one pitch) are its random numbers,
+transforms and cube roots, of the same sizes, in padded planes and in place, in float32 as in a study.
 """
 
 from __future__ import annotations

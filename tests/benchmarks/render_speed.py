@@ -33,15 +33,16 @@ from unittest import mock
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from benchmarks.plain import plain_mitsuba
 from helpers.timing import fresh
 
 import pixsim
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.progress import stages
 from pixsim.light.spectral import photons_per_joule
+from pixsim.scene.mitsuba import speaking_mitsuba
 from pixsim.scene.plan import Plan
 from pixsim.scene.renderer import Renderer
+from pixsim.scene.scene import Scene, sensor_node
 from pixsim.sensor.integration import ideal_rate
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
@@ -53,6 +54,29 @@ LADDER = tuple(4**k for k in range(1, 7))
 SECONDS_A_RUNG = 20.0
 RANDOM, STEEPEST = -0.5, -1.0  # exponents of error against time that an extrapolation may take
 Picture = Callable[[int, int], tuple[np.ndarray, float]]  # (samples, seed) -> QE-weighted irradiance, seconds
+
+
+def plain_mitsuba(scene: Scene, resolution: int, sampler: str, bands_nm: np.ndarray) -> Callable[[int, int], np.ndarray]:
+    """Render of (samples, seed): radiance in bands of equal width, (H, W, B), of a square film."""
+    film = {"type": "specfilm", "component_format": "float32", "rfilter": {"type": "box"}}
+    film |= {"width": resolution, "height": resolution}
+    half_nm = float(bands_nm[1] - bands_nm[0]) / 2
+    for k, nm in enumerate(bands_nm.tolist()):
+        film[f"band{k}"] = {"type": "regular", "wavelength_min": nm - half_nm, "wavelength_max": nm + half_nm, "values": "1, 1"}
+    with speaking_mitsuba(scene.choice.variant) as mi:
+        loaded = mi.load_file(str(scene.path), **scene.parameters)
+        sensor = sensor_node(scene.parse(), None)[1]
+        names = ("type", "fov", "aperture_radius", "focus_distance", "to_world")
+        lens = {key: sensor[key] for key in names if key in sensor}
+        lens["to_world"] = mi.ScalarTransform4f(lens["to_world"])
+
+    def picture(spp: int, seed: int) -> np.ndarray:
+        with speaking_mitsuba(scene.choice.variant) as mi:
+            camera = mi.load_dict({"type": "thinlens", **lens, "film": film, "sampler": {"type": sampler, "sample_count": spp}})
+            path = mi.load_dict({"type": "path"})
+            return np.asarray(mi.render(loaded, sensor=camera, integrator=path, spp=spp, seed=seed), float)
+
+    return picture
 
 
 def plain(name: str, resolution: int, sampler: str) -> Picture:
