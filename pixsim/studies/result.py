@@ -747,6 +747,7 @@ ON_WHITE: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 1.
 HEADROOM = 1.12  # of the axis over the highest point, for the legend
 LABEL_SPACE = 0.25  # of the axis height, for the labels below an optimum and at the bottom
 MARK_SPACING = 0.04  # of an axis, between fill-factor ticks
+BAND_POINTS = 150  # of a curve's interval; Matplotlib writes them all, which took half of a figure's bytes
 
 
 def draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
@@ -759,7 +760,8 @@ def draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
     axes.errorbar(curve.pitch_um, mean, ci95, fmt=look.marker, ms=4, lw=1, capsize=2, color=colour, label=label)
     if curve.doubtful.any():
         axes.plot(curve.pitch_um[curve.doubtful], mean[curve.doubtful], look.marker, ms=4, mfc="white", mec=colour)
-    axes.fill_between(curve.fit.pitch_um, low, high, color=colour, alpha=0.15, lw=0)
+    drawn = np.unique(np.linspace(0, low.size - 1, BAND_POINTS).round().astype(int))
+    axes.fill_between(curve.fit.pitch_um[drawn], low[drawn], high[drawn], color=colour, alpha=0.15, lw=0)
     axes.plot(curve.fit.pitch_um, fitted, lw=1.5, **look.stroke)
     if best.inside:
         low_um, high_um = closed_range(best.interval_um, curve)
