@@ -152,7 +152,7 @@ def axes_page(
         Plot(partial(regrets_plate, found, pitch_um, f"{REGRETS}_{number}"))
         for number, found in enumerate(regrets[:SHOWN_REGRETS], 1)
     ]
-    tables = [found.table() for found in regrets]
+    tables = [table for found in regrets for table in found.tables()]
     budgets, header = noise_budgets(result), result.irradiance.header
     best = (Link("The same with all digits (CSV)", "optima.csv"),)
     made = f"{result.counts}. Study seed {result.study.seed}; first render: {rendered_words(header)}."

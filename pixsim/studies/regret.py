@@ -46,6 +46,12 @@ class Criterion:
         with np.errstate(divide="ignore"):
             return np.asarray(1 / np.interp(pitch_um, self.pitch_um, self.share) - 1)
 
+    def best_size(self) -> str:
+        """Return the best size in µm, behind ≤ at the smallest and ≥ at the largest of the sizes tried."""
+        best = self.optimum
+        end = "≤ " if best.pitch_um < self.pitch_um.mean() else "≥ "
+        return f"{'' if best.inside else end}{best.pitch_um:.2f}"
+
 
 @dataclass(frozen=True)
 class Regrets:
@@ -75,34 +81,30 @@ class Regrets:
         rows = [[value if np.isfinite(value) else None for value in row] for row in self.matrix.tolist()]
         return {"names": [criterion.name for criterion in self.criteria], "regret": rows}
 
-    def table(self) -> Table:
-        """Return the regrets as a table with a row for each criterion."""
-        names = [criterion.name for criterion in self.criteria]
-        head = (
-            self.kind,
-            "best size (µm)",
-            "95 % interval",
-            "between sizes (%)",
-            "value",
-            *(f"regret at the best of {name}" for name in names),
-        )
-        rows = []
-        for number, (criterion, regrets) in enumerate(zip(self.criteria, self.matrix.tolist(), strict=True)):
+    def tables(self) -> tuple[Table, Table]:
+        """Return the best sizes of the numbered criteria, and their regrets at the best size of each number."""
+        head = (f"{self.kind}\n", "best size\n(µm)", "95 %\ninterval", "between\nsizes (%)", "value\n")
+        matrix_head = ("regret in % at the best size of", *(str(number) for number, _ in enumerate(self.criteria, 1)))
+
+        rows, matrix_rows = [], []
+        for place, (criterion, regrets) in enumerate(zip(self.criteria, self.matrix.tolist(), strict=True)):
+            name = f"{place + 1} {criterion.name}"
             best = criterion.optimum
-            size = f"{best.pitch_um:.2f}{'' if best.inside else ', the end of the sizes'}"
-            cells = ["–" if place == number else percent(value) for place, value in enumerate(regrets)]
-            stated = interval(best.interval_um), f"{100 * best.between_sizes_share:.0f}", criterion.metric.shown(best.value)
-            rows.append((criterion.name, size, *stated, *cells))
-        return Table(f"regrets of {self.label}", head, rows, f"{self.label}: regrets", words=(0, 1, 2))
+            between = f"{100 * best.between_sizes_share:.0f}"
+            rows.append((name, criterion.best_size(), interval(best.interval_um), between, criterion.metric.shown(best.value)))
+            matrix_rows.append((name, *("–" if column == place else percent(regret) for column, regret in enumerate(regrets))))
+
+        sizes = Table(f"best sizes of {self.label}", head, rows, f"{self.label}: best sizes", words=(0, 1, 2))
+        return sizes, Table(f"regrets of {self.label}", matrix_head, matrix_rows, f"{self.label}: regrets")
 
 
 def percent(regret: float) -> str:
     """Return a regret in per cent, to two digits.
 
     >>> percent(0.0123), percent(float("inf"))
-    ('1.2 %', '∞')
+    ('1.2', '∞')
     """
-    return f"{rounded(100 * regret)} %" if np.isfinite(regret) else "∞"
+    return rounded(100 * regret) if np.isfinite(regret) else "∞"
 
 
 def share_of_best(fit: FittedCurve) -> Array:

@@ -431,7 +431,7 @@ def contrast_words(result: StudyResult, curve: Curve) -> list[str]:
 
 def study_facts(result: StudyResult) -> list[Block]:
     """Return what follows the optima of a study: regrets, causes, errors of its light, what it depends on, how it is shown."""
-    regrets = [found.table() for curve in result.curves[:MAX_REGRET_TABLES] if (found := metric_regrets(curve))]
+    regrets = [metric_regrets(curve) for curve in result.curves[:MAX_REGRET_TABLES]]
     without = [
         f"{curve.label}: {metric.words} tells no best size, since it is 0 or below, or has no number, for too many sizes"
         for curve in result.curves
@@ -441,4 +441,5 @@ def study_facts(result: StudyResult) -> list[Block]:
     contrasts = [words for curve in result.curves for words in contrast_words(result, curve)]
     light, view = study_light_words(result), study_view_words(result)
     words = [without, contrasts, result.cause_notes, study_unconverged(result), light, view]
-    return [*regrets, *(Fact(text) for texts in words for text in texts)]
+    tables = [table for found in regrets if found for table in found.tables()]
+    return [*tables, *(Fact(text) for texts in words for text in texts)]

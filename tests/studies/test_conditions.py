@@ -12,6 +12,7 @@ from pixsim.report.axes import regrets_columns
 from pixsim.report.regret import regrets_plate
 from pixsim.report.wording import weighted_answer
 from pixsim.show.document import plain_text
+from pixsim.show.render import lines
 from pixsim.studies.conditions import condition_regrets, regrets_summary, weighted_criterion, weighted_fit, weighted_mean
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.regret import Criterion, Regrets
@@ -162,6 +163,29 @@ def test_weighted_mean_pairs_sensors() -> None:
     pitches_um, mean = weighted_mean([(both[0], 0.5), (both[1], 0.5)])
     assert pitches_um.tolist() == PITCH_UM.tolist()
     np.testing.assert_allclose(mean, 1.0, atol=1e-12)
+
+
+def test_tables_of_regrets_have_all_numbers_in_80_columns() -> None:
+    """Of seven criteria, as many as tell a best size in the longest study of the pages and its weighted mean."""
+    (information,) = metrics_named(["information"])
+    best = replace(exact()[0].optimum, mean_delta_e=1 / 5.418e5, is_of_reciprocal=True)  # the longest value
+    inside = replace(best, pitch_um=10.25, interval_um=(10.11, 10.36), inside=True)
+    smallest = replace(best, pitch_um=4.0, interval_um=(None, 4.5), inside=False)
+    largest = replace(best, pitch_um=12.0, interval_um=(None, None), inside=False)
+    share = np.geomspace(1e-3, 1.0, PITCH_UM.size)
+    criteria = [
+        Criterion(f"night at the gate {number}", information, optimum, PITCH_UM, share)
+        for number, optimum in enumerate([inside, smallest, largest] * 2 + [inside])
+    ]
+    regrets = Regrets("data sheet", "condition", tuple(criteria))
+
+    sizes, matrix = (list(lines(table, width=80)) for table in regrets.tables())
+    assert max(map(len, sizes + matrix)) <= 80
+    for size in ("10.25", "≤ 4.00", "≥ 12.00", "5.418e+05 bit/mm²"):
+        assert any(size in line for line in sizes), size
+    cells = [line.split()[-7:] for line in matrix if "–" in line]
+    percent = [[0.0 if cell == "–" else float(cell) for cell in row] for row in cells]
+    np.testing.assert_allclose(percent, 100 * regrets.matrix, rtol=0.05)  # two digits
 
 
 def test_regrets_have_the_same_numbers_in_figure_csv_and_json() -> None:

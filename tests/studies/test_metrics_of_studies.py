@@ -89,8 +89,8 @@ def test_regrets_of_metrics_match_closed_forms() -> None:
     assert [criterion.name for criterion in regrets.criteria] == ["mean ΔE", "information"]
     wanted = np.log(4.2 / 2.4) ** 2
     np.testing.assert_allclose(regrets.matrix, [[0.0, wanted], [wanted, 0.0]], atol=0.05)  # sizes are known to 2 %
-    row = next(iter(regrets.table().rows))
-    assert row[5:] == ("–", percent(regrets.matrix[0, 1]))
+    _, matrix = regrets.tables()
+    assert next(iter(matrix.rows)) == ("1 mean ΔE", "–", percent(regrets.matrix[0, 1]))
 
 
 def test_metric_without_a_best_size_says_so(judged: tuple[StudyResult, Path]) -> None:
@@ -438,7 +438,8 @@ def test_nothing_is_left_of_a_metric_at_a_size_where_it_is_zero() -> None:
     infinite = replace(regrets.criteria[0], optimum=replace(regrets.criteria[0].optimum, pitch_um=6.0))
     at_zero = replace(regrets, criteria=(infinite, regrets.criteria[1]))
     assert at_zero.as_dict()["regret"][1][0] is None
-    assert [*at_zero.table().rows][1][5] == "∞"
+    _, matrix = at_zero.tables()
+    assert [*matrix.rows][1] == ("2 information", "∞", "–")
 
 
 @pytest.mark.parametrize(
@@ -486,6 +487,6 @@ def test_study_of_conditions_judges_by_any_metric_first(tmp_path: Path) -> None:
     assert 0.9 * np.mean(values[:2]) < values[2] <= np.mean(values[:2]), "no size is better than each condition's own"
     page = axes_page(result, regrets, {}, [])
     tables = [block for block in page.sections[0].blocks if isinstance(block, Table)]
-    assert len(tables) == len(regrets) == 4, "two values of the axis, two metrics"
+    assert len(tables) == 2 * len(regrets) == 8, "best sizes and regrets, at two values of the axis, by two metrics"
     names = {"information_by_pitch_and_f.svg", "optimum_by_f.svg", "regrets_1.svg"}
     assert names <= {Path(name).name for name in axes_files(result.study)}
