@@ -441,5 +441,5 @@ def study_facts(result: StudyResult) -> list[Block]:
     contrasts = [words for curve in result.curves for words in contrast_words(result, curve)]
     light, view = study_light_words(result), study_view_words(result)
     words = [without, contrasts, result.cause_notes, study_unconverged(result), light, view]
-    tables = [table for found in regrets if found for table in found.tables()]
+    tables = [table for metrics_regrets in regrets if metrics_regrets for table in metrics_regrets.tables()]
     return [*tables, *(Fact(text) for texts in words for text in texts)]

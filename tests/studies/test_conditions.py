@@ -166,7 +166,7 @@ def test_weighted_mean_pairs_sensors() -> None:
 
 
 def test_tables_of_regrets_have_all_numbers_in_80_columns() -> None:
-    """Of seven criteria, as many as tell a best size in the longest study of the pages and its weighted mean."""
+    """Of seven criteria with long names and values: six conditions and their weighted mean."""
     (information,) = metrics_named(["information"])
     best = replace(exact()[0].optimum, mean_delta_e=1 / 5.418e5, is_of_reciprocal=True)  # the longest value
     inside = replace(best, pitch_um=10.25, interval_um=(10.11, 10.36), inside=True)
