@@ -1,4 +1,4 @@
-"""Choice of further evaluations: the new pitches, or further sensors, that narrow the optimum's interval most."""
+"""Choice of further evaluations: the new pitches, or further sensors, that narrow the optimum's interval."""
 
 from __future__ import annotations
 
@@ -14,6 +14,10 @@ SENSORS_PER_ADDITION = 2  # so that a new pitch shows its own scatter; an existi
 # it: with one such pitch, a tenth of simulated studies stop improving.
 BEYOND = 2
 MAX_OPEN = 48  # evaluations that a study without a target adds to a curve whose interval has an open end
+# A study without a target adds sizes near the best one, one at a time, until half the interval is that short over the size
+NEAR_BEST = 0.01
+MAX_NEAR_BEST = 8  # of them
+MIN_BETWEEN = 0.5  # share of the interval's variance that is due to the curve between the sizes, from which sizes are added
 MIN_RATIO = 1.002  # between neighbouring pitches
 DIGITS = 4  # of a new pitch, as of a study's first pitches
 
@@ -52,6 +56,36 @@ def next_where_open(fit: FittedCurve, sensors: dict[float, int], started: int, m
     return more if sum(more.values()) <= limit else sensors
 
 
+def next_near_best(fit: FittedCurve, sensors: dict[float, int], sizes: int) -> dict[float, int]:
+    """Return the sensors of each pitch after one more near the best, where the interval is long for want of sizes; else unchanged.
+
+    The new pitch, of one sensor, lies in the widest gap between pitches that the interval reaches: at the minimum of the fitted
+    curve, but not in the outer quarters of the gap.
+
+    sizes : pitches before any was added
+    """
+    best = fit.optimum
+    is_short = best.half_width_um <= NEAR_BEST * best.pitch_um
+    if None in best.interval_um or is_short or best.between_sizes_share < MIN_BETWEEN or len(sensors) >= sizes + MAX_NEAR_BEST:
+        return sensors
+
+    pitches_um = np.array(sorted(sensors))
+    low_um, high_um = best.interval_um
+    first = max(0, int(np.searchsorted(pitches_um, low_um, side="right")) - 1)
+    last = min(pitches_um.size - 1, int(np.searchsorted(pitches_um, high_um)))
+    places = fit.places_of(pitches_um)
+    left = first + int(np.argmax(np.diff(places[first : last + 1])))
+    if pitches_um[left + 1] < MIN_RATIO**2 * pitches_um[left]:
+        return sensors
+
+    quarter = (places[left + 1] - places[left]) / 4
+    minimum = fit.places_of(np.array([best.pitch_um]))[0]
+    is_inside = places[left] < minimum < places[left + 1]
+    place = np.clip(minimum, places[left] + quarter, places[left + 1] - quarter) if is_inside else places[left] + 2 * quarter
+    pitch_um = round(float(fit.pitches_at(np.array([place]))[0]), DIGITS)
+    return dict(sorted((sensors | {pitch_um: 1}).items()))
+
+
 def additions(fit: FittedCurve, sensors: dict[float, int], max_sensors: int) -> dict[float, int]:
     """Return the candidate additions, {µm: new number of sensors}: pitches up to `BEYOND` outside the interval, and midpoints."""
     pitches_um = np.array(sorted(sensors))
@@ -78,5 +112,5 @@ def predicted_variance(fit: FittedCurve, sensors: dict[float, int]) -> float:
     design = replace(best.design, u=u, noise=noise * noise_scale(mean, fit.logarithmic), sensors=counts)
     low, high = fit.optimum.interval_um
     ends = np.array([pitches_um[0] if low is None else low, fit.optimum.pitch_um, pitches_um[-1] if high is None else high])
-    fit_of_design = Posterior(design, best.stiffness, best.residual, np.zeros(u.size))
+    fit_of_design = Posterior(design, best.stiffness, best.residual, np.zeros(u.size), best.ripple)
     return rise_variance(fit_of_design, fit.places_of(ends))

@@ -18,9 +18,11 @@ a factor `FLANK` to a size next to the best one, where the fit dips by more than
 convex curve through the sizes is. The interval then contains all places where such a curve, of ΔE against u, could be least
 (`convex_range`).
 
-k, t and the uncertainty of s are integrated over, weighted by the likelihood of the data. A few sizes tell the stiffness of the
-curve as a whole. Between two of them it may be several times as large, and no size shows it: so the weight of each k is spread over
-others by a lognormal factor (`LOCAL_SPREAD`), which the likelihood does not weigh again. The result is the distribution of the
+A curve also has ripples, which are shorter than the steps of most studies: the diffraction of microlenses and the pixels' response
+to detail make some of .03 to .3 %. They are part of f: a stationary process of relative amplitude r and of length `RIPPLE_LENGTH`.
+Those below the noise of one sensor are left to the residual.
+
+k, t, r and the uncertainty of s are integrated over, weighted by the likelihood of the data. The result is the distribution of the
 minimum's position over curves drawn from the posterior. It covers the noise, the residual, and the uncertainty of the curve between
 the pitches, which is all there is for a metric without noise; `Optimum.between_sizes_share` is its part of the variance.
 """
@@ -45,17 +47,20 @@ from pixsim.sensor.quantities import Pitch
 
 NO_VISIBLE_DELTA_E = 0.05  # of mean ΔE between two pixel sizes
 CONFIDENCE = 0.95
-# Part of the posterior that is stated. It, the prior and `LOCAL_SPREAD` were chosen for the coverage in docs/uncertainty.md.
-CREDIBILITY = 0.93
 # Stiffness k in units of the mean ΔE: dense sweeps of ΔE gave 0.2 to 3.2 (tests/data/dense_sweeps), and a parabola has none.
+# Its prior and that of the ripples were chosen for the coverage in docs/uncertainty.md.
 STIFFNESS = np.geomspace(1e-3, 32.0, 14)
 # Median and mean absolute logarithmic deviation of its prior, a Laplace distribution of log k: the tails admit a parabola.
-USUAL_STIFFNESS, STIFFNESS_SPREAD = 1.5, 0.7
-# Logarithmic standard deviation of the stiffness between the sizes beside the minimum over that of all sizes.
-LOCAL_SPREAD = 1.5
-LARGEST_LOCAL = 8.0  # that is assumed without being shown by the sizes; a larger one is that of the whole curve
+USUAL_STIFFNESS, STIFFNESS_SPREAD = 3.0, 0.7
 # Residual t in units of a sensor's noise; those sweeps gave at most 0.1, and with centred pixels (in release 1.0.0) 0.2 to 0.5.
 RESIDUALS = (0.0, 0.1, 0.25, 0.5)
+# Ripples r in units of the mean ΔE, and their correlation length in the logarithm of the width. By maximum likelihood, dense sweeps
+# of metrics without noise have 3e-4 (f/2.8) and 1e-3 to 3e-3 (f/8), and lengths of 0.03 to 0.04.
+RIPPLES = (0.0, 5e-4, 1.5e-3, 3e-3)
+RIPPLE_LENGTH = 0.035
+NO_RIPPLE_WEIGHT = 1e-3  # prior of a curve without ripples over that of each of the others
+# Half the shortest interval, in units of the best size: the sweeps behind `RIPPLES` have steps of 3 %, and show no shorter ripples.
+SHORTEST_HALF = 0.0075
 LOUD = 0.01  # chance that a study of equal scatter has a pitch that keeps its own
 NOISE_QUANTILES = (1 / 6, 1 / 2, 5 / 6)  # of the distribution of the noise's variance
 WEIGHT_USED = 0.95  # of the posterior of k, t and s; the rest weighs too little to draw from
@@ -75,11 +80,10 @@ class Optimum:
     """The pitch of minimum mean ΔE, with its uncertainty.
 
     pitch_um : minimum of the fitted curve
-    interval_um : (low, high), 95 % interval of the pitch of minimum expected ΔE: the middle 93 % of the posterior. In simulated
-        studies it held the minimum in 86 to 100 %, but far less often where a metric without noise has ripples shorter than the
-        steps of the sizes (docs/uncertainty.md). Where the curve may not be smooth it holds also all places where a
-        convex curve could be least; at a sharp corner, fewer than 11 sizes contain the minimum less often (docs/uncertainty.md).
-        None for an open end: the minimum may lie at or beyond the smallest or largest pitch tried
+    interval_um : (low, high), 95 % interval of the pitch of minimum expected ΔE. docs/uncertainty.md has the share of simulated
+        studies in which it held the minimum. Where the curve may not be smooth it holds also all places where a convex curve could
+        be least; at a sharp corner, fewer than 11 sizes contain the minimum less often. It is never shorter than ± 0.75 % of the
+        pitch. None for an open end: the minimum may lie at or beyond the smallest or largest pitch tried
     mean_delta_e : of the fitted curve at `pitch_um`
     mean_delta_e_interval : 95 % interval of the least expected ΔE
     inside : whether the minimum lies between the smallest and the largest pitch tried, not at one of them
@@ -192,19 +196,19 @@ class Design:
     noise: Array
     sensors: NDArray[np.int64]
 
-    def covariance(self, stiffness: float, residual: float) -> Array:
+    def covariance(self, stiffness: float, residual: float, ripple: float) -> Array:
         """Return the covariance of the pitches' mean ΔE without the quadratic, (P, P)."""
-        covariance = stiffness**2 * wiener_covariance(self.u, self.u)
+        covariance = curve_covariance(self.u, self.u, stiffness, ripple)
         covariance.flat[:: self.u.size + 1] += self.noise * (1 / self.sensors + residual**2) + ROUNDING**2
         return covariance
 
 
 class Posterior:
-    """Posterior Gaussian process of a design and its data at one stiffness and residual."""
+    """Posterior Gaussian process of a design and its data at one stiffness, residual and ripple."""
 
-    def __init__(self, design: Design, stiffness: float, residual: float, y: Array) -> None:
-        self.design, self.u, self.stiffness, self.residual = design, design.u, stiffness, residual
-        self._whitener = inverse_factor(design.covariance(stiffness, residual))
+    def __init__(self, design: Design, stiffness: float, residual: float, y: Array, ripple: float = 0.0) -> None:
+        self.design, self.u, self.stiffness, self.residual, self.ripple = design, design.u, stiffness, residual, ripple
+        self._whitener = inverse_factor(design.covariance(stiffness, residual, ripple))
         both = self._whitener @ np.column_stack([y, quadratic(design.u)])
         self._y, self._basis = both[:, 0], both[:, 1:]
         self._basis_whitener = inverse_factor(self._basis.T @ self._basis)
@@ -220,14 +224,34 @@ class Posterior:
 
     def mean(self, places: Array) -> Array:
         """Return the posterior mean at places, (n,)."""
-        process = self.stiffness**2 * wiener_covariance(places, self.u)
+        process = curve_covariance(places, self.u, self.stiffness, self.ripple)
         return multiplied(process, self._weights) + multiplied(quadratic(places), self._coefficients)
 
     def covariance(self, places: Array) -> Array:
         """Return the posterior covariance between places, (n, n)."""
-        known = self._whitener @ (self.stiffness**2 * wiener_covariance(self.u, places))
+        known = self._whitener @ curve_covariance(self.u, places, self.stiffness, self.ripple)
         unknown = self._basis_whitener @ (quadratic(places).T - self._basis.T @ known)
-        return self.stiffness**2 * wiener_covariance(places, places) - known.T @ known + unknown.T @ unknown
+        prior = curve_covariance(places, places, self.stiffness, self.ripple)
+        return prior - known.T @ known + unknown.T @ unknown
+
+
+def curve_covariance(one: Array, other: Array, stiffness: float, ripple: float) -> Array:
+    """Return the covariance of curves without their quadratic, (one, other), at a stiffness and a ripple."""
+    smooth = stiffness**2 * wiener_covariance(one, other)
+    return smooth + ripple**2 * ripple_covariance(one, other) if ripple else smooth
+
+
+def ripple_covariance(one: Array, other: Array) -> Array:
+    """Return the covariance of ripples of amplitude 1, (one, other): exp(-(a - b)²/2ℓ²) with ℓ = `RIPPLE_LENGTH`."""
+    return _ripple_covariance(np.asarray(one, float).tobytes(), np.asarray(other, float).tobytes())
+
+
+@lru_cache(maxsize=8)
+def _ripple_covariance(one: bytes, other: bytes) -> Array:
+    distance = (np.frombuffer(one)[:, None] - np.frombuffer(other)) / RIPPLE_LENGTH
+    covariance = np.exp(-(distance**2) / 2)
+    covariance.setflags(write=False)
+    return covariance
 
 
 def wiener_covariance(one: Array, other: Array) -> Array:
@@ -315,8 +339,12 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
     inside = slopes and 0 < best < fine_um.size - 1
     offsets = np.quantile(drawn, ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2), axis=0) - drawn.mean(axis=0)
     low, high = (data.delta_e_of(centre + np.interp(fine, places, offset)) for offset in offsets)
-    tail = (1 - CREDIBILITY) / 2
-    within_range = np.clip(np.quantile(minima_um, (tail, 1 - tail)), pitch_um[0], pitch_um[-1])
+    best_um = float(np.exp(minima(np.log(fine_um), curve[None])[0])) if inside else float(fine_um[best])
+    tail = (1 - CONFIDENCE) / 2
+    quantiles_um = np.quantile(minima_um, (tail, 1 - tail))
+    shortest_um = best_um * (1 - SHORTEST_HALF), best_um * (1 + SHORTEST_HALF)
+    ends_um = min(quantiles_um[0], shortest_um[0]), max(quantiles_um[1], shortest_um[1])
+    within_range = np.clip(ends_um, pitch_um[0], pitch_um[-1])
     least_low, least_high = float(low[best]), float(high[best])
     if data.logarithmic:
         # The least value of a fit is too low: about as much as the least value of a curve drawn from it is below its own.
@@ -337,7 +365,6 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
         if not slopes or np.mean(lowest <= curves.min(axis=1)) > tail or (is_sharp and may_be_beyond[end]):
             ends[end] = None
     within = [close_to_least(fine_um, curve, percent / 100) for percent in (1, 2)]
-    best_um = float(np.exp(minima(np.log(fine_um), curve[None])[0])) if inside else float(fine_um[best])
     low_um, high_um = (limit if end is None else end for end, limit in zip(ends, (pitch_um[0], pitch_um[-1]), strict=True))
     optimum = Optimum(
         pitch_um=best_um,
@@ -456,24 +483,22 @@ def loud_pitches(squares: Array, mean: Array, degrees: NDArray[np.int64]) -> NDA
 
 
 def posteriors(data: Measured) -> tuple[list[Posterior], list[float]]:
-    """Return posteriors at the likely stiffnesses, residuals and noises, the likeliest first, and their weights, of sum 1.
-
-    The likelihood of all sizes tells their common stiffness; between those beside the minimum it is another one, by `LOCAL_SPREAD`.
-    """
-    design, y, degrees = data.design, data.values, data.degrees.astype(float)
+    """Return posteriors of all parameters that are likely, the likeliest first, and their weights, of sum 1."""
+    design, degrees = data.design, data.degrees.astype(float)
+    noise = float(np.sqrt(np.median(design.noise)))
+    has_noise = bool(design.noise.any())
+    ripples = [ripple for ripple in RIPPLES if ripple == 0 or ripple > noise]
     fits = []
-    for quantile in NOISE_QUANTILES:
-        variance = degrees / (2 * gammaincinv(degrees / 2, 1 - quantile))  # degrees/χ², of each pitch
+    for quantile in NOISE_QUANTILES if has_noise else NOISE_QUANTILES[:1]:
+        variance = degrees / (2 * gammaincinv(degrees / 2, 1 - quantile)) if has_noise else np.ones(design.u.size)  # degrees/χ²
         scaled = Design(design.u, design.noise * variance, design.sensors)
-        fits += [Posterior(scaled, *pair, y) for pair in product(STIFFNESS.tolist(), RESIDUALS)]
-    logs = np.array([fit.log_likelihood for fit in fits]).reshape(len(NOISE_QUANTILES), STIFFNESS.size, len(RESIDUALS))
-    logs -= np.abs(np.log(STIFFNESS / USUAL_STIFFNESS))[:, None] / STIFFNESS_SPREAD
-    common = np.exp(logs - logs.max())
-    local = np.exp(-((np.log(STIFFNESS[:, None] / STIFFNESS) / LOCAL_SPREAD) ** 2) / 2)
-    is_shown = STIFFNESS > LARGEST_LOCAL
-    local[is_shown] = local[:, is_shown] = 0.0
-    local[is_shown, is_shown] = 1.0
-    weights = np.einsum("kj,qjr->qkr", local / local.sum(axis=0), common).ravel()
+        for stiffness, residual, ripple in product(STIFFNESS.tolist(), RESIDUALS if has_noise else (0.0,), ripples):
+            fits.append(Posterior(scaled, stiffness, residual, data.values, ripple))
+
+    stiffnesses = np.array([fit.stiffness for fit in fits])
+    logs = np.array([fit.log_likelihood for fit in fits]) - np.abs(np.log(stiffnesses / USUAL_STIFFNESS)) / STIFFNESS_SPREAD
+    logs[[fit.ripple == 0 for fit in fits]] += np.log(NO_RIPPLE_WEIGHT)
+    weights = np.exp(logs - logs.max())
     weights /= weights.sum()
     order = np.argsort(-weights, kind="stable")
     used = order[: int(np.searchsorted(np.cumsum(weights[order]), WEIGHT_USED)) + 1]
@@ -490,10 +515,12 @@ def between_sizes_share(fits: list[Posterior], weights: list[float], ends: Array
     """
     if not np.ptp(ends):
         return 0.0
-    exact = replace(fits[0].design, noise=np.zeros(fits[0].u.size))
-    of_unit_stiffness = rise_variance(Posterior(exact, 1.0, 0.0, np.zeros(exact.u.size)), ends)  # of exact values, variance ~ k²
-    shares = [min(1.0, of_unit_stiffness * fit.stiffness**2 / rise_variance(fit, ends)) for fit in fits]
-    return min(1.0, sum(weight * share for weight, share in zip(weights, shares, strict=True)))
+    share = 0.0
+    for fit, weight in zip(fits, weights, strict=True):
+        design = replace(fit.design, noise=np.zeros(fit.u.size))
+        exact = Posterior(design, fit.stiffness, 0.0, np.zeros(fit.u.size), fit.ripple)
+        share += weight * min(1.0, rise_variance(exact, ends) / rise_variance(fit, ends))
+    return min(1.0, share)
 
 
 def rise_variance(fit: Posterior, ends: Array) -> float:

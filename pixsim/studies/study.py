@@ -24,7 +24,7 @@ from pixsim.optics.camera import Camera
 from pixsim.scene.packaged import packaged_scenes
 from pixsim.sensor.labels import label_in
 from pixsim.show.sentences import few
-from pixsim.studies.allocation import next_sensors, next_where_open
+from pixsim.studies.allocation import next_near_best, next_sensors, next_where_open
 from pixsim.studies.cases import Case, check_number
 from pixsim.studies.cost import jobs_in_memory, largest_frame_bytes
 from pixsim.studies.elsewhere import curves_on_displays
@@ -87,7 +87,8 @@ def next_round(study: Study, curves: Sequence[Curve], sampling: Sampling, refine
     """Return the sampling after a round of additions to each curve; unchanged at a limit.
 
     A curve whose interval misses `target_ci_um` gets sizes and sensors where they narrow it most. Without a target, so does one
-    whose interval has an open end (`next_where_open`), unless the sizes are a list of the user's.
+    whose interval has an open end (`next_where_open`), and one whose interval is long for want of sizes near the best
+    (`next_near_best`), unless the sizes are a list of the user's.
 
     refine : whether curves without a target may have additions
 
@@ -102,6 +103,7 @@ def next_round(study: Study, curves: Sequence[Curve], sampling: Sampling, refine
             if not (refine and study.refine) or study.pitch.values_um is not None:
                 continue
             more = next_where_open(curve.fit, told, sizes * study.repeats, most)
+            more = next_near_best(curve.fit, told, sizes) if more == told else more
         elif curve.optimum.half_width_um <= study.target_ci_um:
             continue
         else:

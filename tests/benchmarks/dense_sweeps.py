@@ -76,11 +76,18 @@ def studies() -> dict[str, pixsim.Study]:
         "skewed": chen2000("0.18um", 80),
         "day": line(2.8, "csf", 48, 7, 48, "delta_e"),
         "day_f8": line(8.0, "csf", 72, 1, 16, "delta_e", "information"),
-        "information": line(2.8, "target", 72, 1, SENSORS, "information", "delta_e", "detectability"),
-        "detectability": line(2.8, "target", 72, 1, SENSORS, "detectability", "delta_e", "information"),
-        "information_f8": line(8.0, "target", 72, 1, SENSORS, "information", "delta_e", "detectability"),
-        "detectability_f8": line(8.0, "target", 72, 1, SENSORS, "detectability", "delta_e", "information"),
+        **without_noise("", 2.8, SENSORS),
+        **without_noise("_f8", 8.0, SENSORS),
+        **without_noise("_f4", 4.0, 2),
+        **without_noise("_f5_6", 5.6, 2),
+        **without_noise("_f11", 11.0, 2),
     }
+
+
+def without_noise(suffix: str, f_number: float, repeats: int) -> dict[str, pixsim.Study]:
+    """Studies of a scratch by metrics with little or no noise."""
+    orders = ("information", "delta_e", "detectability"), ("detectability", "delta_e", "information")
+    return {f"{first}{suffix}": line(f_number, "target", 72, 1, repeats, first, *others) for first, *others in orders}
 
 
 def sweep(study: pixsim.Study) -> np.ndarray:

@@ -28,6 +28,7 @@ from joblib import Parallel, delayed, parallel_config
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from helpers.dense_curves import (
+    HELD_OUT,
     STEEP,
     Sensors,
     SimulatedStudy,
@@ -46,6 +47,7 @@ OUT_EVEN = OUT.with_name("interval_coverage_even.csv")
 EVEN_CURVES = (
     *("information", "information_f8", "detectability", "detectability_f8", "day", "day_f8"),
     *("parabola", "cubic", "powers"),
+    *HELD_OUT,
 )
 EVEN_EXACT = ("parabola_exact", "cubic_exact", "powers_exact")
 EVEN_PITCHES = (5, 7, 11)

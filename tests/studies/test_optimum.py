@@ -17,9 +17,11 @@ from scipy.integrate import quad
 from scipy.stats import multivariate_normal
 
 from pixsim.base.arrays import Array
+from pixsim.studies.allocation import MAX_NEAR_BEST
 from pixsim.studies.optimum import (
     DRAWS,
     FLANK,
+    RIPPLE_LENGTH,
     STEEP,
     Design,
     FittedCurve,
@@ -56,9 +58,22 @@ def fitted(mean: np.ndarray, repeats: int = 3, noise: float = 0.0, seed: int = 0
 # --- Curves that are known ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("pitches", "bend"), [(5, 0.3), (5, 1.0), (6, 0.3), (6, 2.0), (16, 0.3), (16, 2.0)])  # to 2.4 × the least
-def test_fit_curve_of_parabola(pitches: int, bend: float) -> None:
-    """The process around the quadratic has nothing to explain: without noise little is left open."""
+PARABOLAS = [
+    (5, 0.3, 0.06),
+    (5, 1.0, 0.03),
+    (6, 0.3, 0.02),
+    (6, 2.0, 0.008),
+    (16, 0.3, 0.008),
+    (16, 2.0, 0.008),
+]  # to 2.4 × the least
+
+
+@pytest.mark.parametrize(("pitches", "bend", "half"), PARABOLAS)
+def test_fit_curve_of_parabola(pitches: int, bend: float, half: float) -> None:
+    """The process around the quadratic has nothing to explain: with six sizes the interval is the shortest, ± 0.75 %.
+
+    Five exact values leave two degrees of freedom, too few to exclude ripples, which move a flat minimum more.
+    """
     pitch = np.geomspace(5.3, 15, pitches)
     optimum = fitted(parabola(pitch, bend), pitch_um=pitch).optimum
     assert optimum.pitch_um == pytest.approx(BEST_UM, rel=1e-4)
@@ -66,7 +81,8 @@ def test_fit_curve_of_parabola(pitches: int, bend: float) -> None:
     assert optimum.mean_delta_e == pytest.approx(MIN_VERSIONS, rel=3e-6)
     assert optimum.inside
     low, high = optimum.interval_um
-    assert low < BEST_UM < high < 1.02 * low
+    assert 0.0074 < 1 - low / BEST_UM < half
+    assert 0.0074 < high / BEST_UM - 1 < half
     # 0.5 + bend x² rises by 1 % at x = √(0.005/bend), by 2 % at √(0.01/bend); they are read on steps of 0.13 %, within.
     for share, (low, high) in ((0.01, optimum.within_1_percent_um), (0.02, optimum.within_2_percent_um)):
         reach = np.sqrt(MIN_VERSIONS * share / bend)
@@ -341,22 +357,24 @@ def test_wiener_covariance_matches_integral() -> None:
 def test_log_likelihood_matches_normal_distribution() -> None:
     """But for a constant, which a prior that is wide in every coefficient brings with it."""
     own, outside = [], []
-    for stiffness, residual, y in product((0.1, 1.0, 3.0), (0.0, 0.5), (Y, Y + U, np.sin(5 * U))):
-        covariance = DESIGN.covariance(stiffness, residual) + WIDE * quadratic(U) @ quadratic(U).T
+    for stiffness, residual, ripple, y in product((0.1, 1.0, 3.0), (0.0, 0.5), (0.0, 0.1), (Y, Y + U, np.sin(5 * U))):
+        covariance = DESIGN.covariance(stiffness, residual, ripple) + WIDE * quadratic(U) @ quadratic(U).T
         outside.append(multivariate_normal(np.zeros(U.size), covariance).logpdf(y))
-        own.append(Posterior(DESIGN, stiffness, residual, y).log_likelihood)
+        own.append(Posterior(DESIGN, stiffness, residual, y, ripple).log_likelihood)
     # What that prior counts is half the square of the coefficients over its variance: 13²/2e4 for the sine.
     assert np.ptp(np.subtract(own, outside)) < 0.02
     assert np.ptp(outside) > 1000, "they differ"
 
 
-def test_posterior_matches_normal_distribution() -> None:
-    posterior = Posterior(DESIGN, 2.0, 0.25, Y)
+@pytest.mark.parametrize("ripple", [0.0, 0.1])
+def test_posterior_matches_normal_distribution(ripple: float) -> None:
+    posterior = Posterior(DESIGN, 2.0, 0.25, Y, ripple)
 
     def prior(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        return 4.0 * wiener_covariance(one, other) + WIDE * quadratic(one) @ quadratic(other).T
+        ripples = ripple**2 * np.exp(-((one[:, None] - other) ** 2) / (2 * RIPPLE_LENGTH**2))
+        return 4.0 * wiener_covariance(one, other) + ripples + WIDE * quadratic(one) @ quadratic(other).T
 
-    gain = np.linalg.solve(DESIGN.covariance(2.0, 0.25) + WIDE * quadratic(U) @ quadratic(U).T, prior(U, PLACES)).T
+    gain = np.linalg.solve(DESIGN.covariance(2.0, 0.25, ripple) + WIDE * quadratic(U) @ quadratic(U).T, prior(U, PLACES)).T
     np.testing.assert_allclose(posterior.mean(PLACES), gain @ Y, atol=1e-5)
     covariance = prior(PLACES, PLACES) - gain @ prior(U, PLACES)
     np.testing.assert_allclose(posterior.covariance(PLACES), covariance, atol=2e-2 * np.abs(covariance).max())
@@ -414,7 +432,7 @@ def test_fit_curve_is_independent_of_blas_threads() -> None:
 # --- Coverage ----------------------------------------------------------------------------------------------------------
 
 
-EVEN = [("information", 7), ("detectability", 5), ("day", 7), ("parabola", 5), ("cubic", 7), ("powers", 11)]
+EVEN = [("information", 7), ("detectability_f8", 5), ("information_f4", 7), ("day", 7), ("cubic", 7), ("powers", 11)]
 EVEN_STUDIES = 25
 
 
@@ -429,7 +447,8 @@ def test_fit_curve_interval_coverage_of_even_sizes() -> None:
         half_um, error_um = [], []
         for number in range(EVEN_STUDIES):
             study, sensors = simulated_even(curve, number, pitches)
-            best = study.fit(sensors).optimum
+            sensors, fit = study.refined(sensors, max_sensors=32)
+            best = fit.optimum
             held[curve] = held.get(curve, 0) + holds(best, study.truth, np.array(list(sensors)))
             half_um.append(best.half_width_um)
             error_um.append(abs(best.pitch_um - study.truth.best_um))
@@ -440,12 +459,18 @@ def test_fit_curve_interval_coverage_of_even_sizes() -> None:
 
 @pytest.mark.parametrize("curve", ["cubic_exact", "powers_exact"])  # a parabola leaves rounding errors alone
 def test_fit_curve_interval_of_exact_values_is_all_between_sizes(curve: str) -> None:
-    """Without noise nothing else is unknown; with an independent scatter of 1 % most of the interval is noise at 11 sizes."""
+    """Without noise nothing else is unknown; with an independent scatter of 1 % most of the interval is noise at 11 sizes.
+
+    So sizes are added near the best of exact values, until half the interval is below 1 % of the size.
+    """
     for number in range(5):
         study, sensors = simulated_even(curve, number, 7)
-        best = study.fit(sensors).optimum
-        assert holds(best, study.truth, np.array(list(sensors)))
-        assert 0.85 < best.between_sizes_share <= 1
+        more, fit = study.refined(sensors, max_sensors=32)
+        best = fit.optimum
+        assert holds(best, study.truth, np.array(list(more)))
+        assert 0.0074 < best.half_width_um / best.pitch_um < 0.01
+        assert 0.99 < best.between_sizes_share <= 1
+        assert 0 < sum(more.values()) - sum(sensors.values()) <= MAX_NEAR_BEST
         study, sensors = simulated_even(curve.removesuffix("_exact"), number, 11)
         assert 0 <= study.fit(sensors).optimum.between_sizes_share < 0.5
 

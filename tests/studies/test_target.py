@@ -226,7 +226,7 @@ def test_rise_variance_matches_covariance(steep: bool) -> None:
     posterior = best = fit.likeliest
     if not steep:
         level = np.interp(fit.places_of(PITCH), fit.places_of(fit.pitch_um), fit.delta_e) / fit.scale
-        posterior = Posterior(replace(best.design, noise=fit.noise * level**2), best.stiffness, best.residual, PITCH)
+        posterior = Posterior(replace(best.design, noise=fit.noise * level**2), best.stiffness, best.residual, PITCH, best.ripple)
     covariance = posterior.covariance(fit.places_of(np.array([low, fit.optimum.pitch_um, high])))
     rises = sum(covariance[end, end] + covariance[1, 1] - 2 * covariance[end, 1] for end in (0, 2))
     assert predicted_variance(fit, START) == pytest.approx(rises, rel=1e-9 if steep else 1e-6)
