@@ -16,7 +16,7 @@ PACKAGE = Path(pixsim.__file__).parent
 
 
 def module_name(path: Path) -> str:
-    """Import name without `pixsim.`, such as cli or verification.stability.optics."""
+    """Import name without `pixsim.`, such as cli or verification.extreme_cases."""
     parts = path.relative_to(PACKAGE).with_suffix("").parts
     return ".".join(parts[:-1] if len(parts) > 1 and parts[-1] == "__init__" else parts)
 

@@ -25,7 +25,8 @@ from pixsim.studies.cases import Case
 from pixsim.studies.film_error import chains_of_film, delta_e_with, measure_film, standard_noise_of
 from pixsim.studies.lights import Demand, demand_of, rendered_light
 from pixsim.studies.preparation import loaded_scene
-from pixsim.verification.stability import ExtremeCase, all_cases
+from pixsim.verification.case import ExtremeCase
+from pixsim.verification.extreme_cases import all_cases
 from pixsim.viewer.develop_options import with_functions
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.light_error import LightError
@@ -220,20 +221,19 @@ def measure_accuracy(
     demand = demand_of(Case(settings.model_copy(update=still), found=(scene, camera)))
     light, _ = rendered_light(demand, progress("render"))
     rungs, reference = climb(demand, light.image.shape[1], QUICK_EFFORTS if quick else EFFORTS, progress("ladder"))
+    progress("extreme cases")
     return Accuracy(
         name=scene.path.stem,
         rungs=rungs,
         reference=reference,
-        cases=tuple(all_cases(progress("extreme cases"))),
+        cases=tuple(all_cases()),
         header=light.image.header,
         settings=settings,
         seconds=time.perf_counter() - start,
     )
 
 
-def climb(
-    demand: Demand, across: int, efforts: Sequence[float], progress: Progress | None = None
-) -> tuple[tuple[Rung, ...], Rung | None]:
+def climb(demand: Demand, across: int, efforts: Sequence[float], progress: Progress) -> tuple[tuple[Rung, ...], Rung | None]:
     """Return the rungs of a ladder and its reference, the same sensor with the same noise on all films.
 
     across : samples across the film of the default settings, whose effort is 1
@@ -250,8 +250,7 @@ def climb(
     for number, (effort, width) in enumerate(widths.items()):
         rung, noise = _measure(demand, imaging, width, 1 / effort, noise)
         rungs.append(rung)
-        if progress:
-            progress((number + 1) / len(widths), "")
+        progress((number + 1) / len(widths), "")
     if len(rungs) == len(efforts):
         return tuple(rungs), None
 

@@ -80,7 +80,7 @@ def work_precision(accuracy: Accuracy) -> Plate:
         errors = [float(getattr(rung, name)) for rung in accuracy.rungs]
         table[name] = errors
         if any(error > 0 for error in errors):
-            axes.plot(seconds, [error if error > 0 else math.nan for error in errors], label=label, ms=6, **look.line)
+            axes.plot(seconds, errors, label=label, ms=6, **look.line)  # a logarithmic axis leaves out what is not above 0
     for rung in accuracy.rungs:
         height = rung.error_delta_e if rung.error_delta_e > 0 else rung.stated_delta_e
         if height > 0:

@@ -32,6 +32,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.closed_forms import solid_angle_integral
 from helpers.edits import VARIANT
 from judges.gates import not_met, row
 from scipy.interpolate import CubicSpline, RectBivariateSpline
@@ -42,7 +43,6 @@ from pixsim import optics
 from pixsim.light.spectral import luminous_weight, photons_per_joule
 from pixsim.optics import diffraction
 from pixsim.scene.mitsuba import speaking_mitsuba
-from pixsim.verification.stability.optics import solid_angle_integral
 
 ISETCAM = Path(__file__).parents[1] / "data" / "isetcam_optics" / "isetcam_optics.npz"
 Law = Callable[[float, float], float]  # E/L of f-number and tangent of the field angle

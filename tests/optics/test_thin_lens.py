@@ -1,6 +1,6 @@
 """Radiance to irradiance: Foote's factor on and off the axis.
 
-Its extremes are in pixsim.verification.stability.optics; ISETCam's numbers and a path tracer's in
+Its extremes are in pixsim.verification.extreme_cases; ISETCam's numbers and a path tracer's in
 tests/judges/test_optics_judge.py.
 """
 

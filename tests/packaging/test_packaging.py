@@ -27,7 +27,7 @@ QUICK_TESTS = {  # about half of the quick tests of every package, which need no
     **{"base": "arrays cache config parameters", "light": "spectral", "optics": "diffraction thin_lens"},
     **{"sensor": "integration pixel readout technology", "scene": "charts plan scene", "show": "figures pictures"},
     **{"viewer": "display scielab score", "studies": "film_error result study", "measure": "sfr"},
-    **{"report": "run views", "verification": "accuracy stability", "cli": "cli doctor"},
+    **{"report": "run views", "verification": "accuracy extreme_cases", "cli": "cli doctor"},
 }
 STUDY = """
 name = "tiny"

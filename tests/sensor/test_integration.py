@@ -1,6 +1,6 @@
 """Light to mean electrons: integration over photodiodes, its spline and strips, and the spectrum of the light.
 
-Conservation and closed forms at the extremes of pitch and size: pixsim.verification.stability.integration.
+Conservation and closed forms at the extremes of pitch and size: pixsim.verification.extreme_cases.
 """
 
 from __future__ import annotations

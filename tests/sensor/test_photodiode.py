@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.closed_forms import charge_to_e, constant_diode_charge_e
 from hypothesis import given, settings, strategies as st
 from scipy.constants import e as electron, k as boltzmann
 from scipy.integrate import quad
@@ -19,7 +20,6 @@ from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.photodiode import charge_from_total_e, collected_charge_e, default_diode, diode_of
 from pixsim.sensor.pixel import WELL_REFERENCE_S, derive, diode_full_v, junction_charge_fc, junction_ff
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.verification.stability.photodiode import charge_to_e
 
 PITCHES_UM = {"0.5um": 8.7, "0.35um": 6.5, "0.25um": 5.3, "0.18um": 3.9}
 SATURATED = (1e9, 0.03)  # e-/s, s: 30 million electrons into a well of 0.2
@@ -136,6 +136,15 @@ def test_charge_from_total_negative_photocurrent_slows_discharge():
     charge = charge_from_total_e(total, np.full(4, 1e5), diode)
     assert (charge[:2].tolist(), charge[3]) == ([0.0, 0.0], pytest.approx(charge_to_e(diode, 0.0), rel=1e-9))
     assert 0 < charge[2] < charge[3]
+
+
+@pytest.mark.parametrize("temperature_k", [77.0, 300.15, 400.0])
+def test_collected_charge_of_a_constant_capacitance_is_the_closed_form(temperature_k):
+    """20 decades of light, 1 ns to 10 h."""
+    diode = diode_of(Pixel(capacitance="paper", temperature_k=temperature_k))
+    current, time_s = np.logspace(-3, 17, 201)[:, None], np.array([1e-9, 1e-6, 1e-3, 0.03, 1.0, 60.0, 3600.0, 36000.0])
+    expected = constant_diode_charge_e(current, time_s, diode)
+    np.testing.assert_allclose(collected_charge_e(current, time_s, diode), expected, rtol=1e-10)  # as the kernel promises
 
 
 LOG_CURRENT, LOG_TIME = st.floats(-3, 17), st.floats(-9, math.log10(36000))

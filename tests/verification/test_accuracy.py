@@ -6,7 +6,6 @@ import csv
 import json
 import math
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,23 +14,27 @@ from helpers.commands import command
 from helpers.edits import VARIANT
 
 import pixsim
+from pixsim.base.progress import no_stage
 from pixsim.show.render import text as text_of_document
 from pixsim.verification import ladder
+from pixsim.verification.case import KnownAnswer
 from pixsim.verification.ladder import Accuracy, Rung
 from pixsim.verification.report import FILES, accuracy_document
-from pixsim.verification.stability import compare
 from pixsim.viewer.light_error import LightError
 from pixsim.viewer.setting import Run
 
 pytestmark = pytest.mark.filterwarnings("default:::pixsim")  # commands print warnings to stderr
 SMALL = {"display": {"dots": 32}, "camera": {"die_mm": 0.4}}  # 75 pixels of 5.3 µm, for speed
-CASES = [replace(compare("one", 1.0, 1.0, 0.1, "by <hand>"), room="optics"), compare("two & three", 1.0, 2.0, 0.1, "it's wrong")]
+CASES = [
+    KnownAnswer("one", lambda: 1.0, 1.0, 0.1, "by <hand>").check("optics"),
+    KnownAnswer("two & three", lambda: 2.0, 1.0, 0.1, "it's wrong").check("viewer"),
+]
 
 
 @pytest.fixture(autouse=True)
 def _two_cases(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two extreme cases for all, for speed: test_stability.py has them all."""
-    monkeypatch.setattr(ladder, "all_cases", lambda report_progress=None: CASES)
+    """Two extreme cases for all, for speed: test_extreme_cases.py has them all."""
+    monkeypatch.setattr(ladder, "all_cases", lambda: CASES)
 
 
 def rung(across: int, film_delta_e: float, mean_delta_e: float = 1.0) -> Rung:
@@ -86,7 +89,7 @@ def test_reference_is_one_whose_own_error_is_below_a_third_of_the_smallest_shown
         return rung(across, own if across > 256 else error, 1.0 + error), None
 
     monkeypatch.setattr(ladder, "_measure", measured)
-    rungs, reference = ladder.climb(demand, 256, ladder.EFFORTS)
+    rungs, reference = ladder.climb(demand, 256, ladder.EFFORTS, no_stage(""))
     assert (reference is not None) == is_sure
     errors = [each.error_delta_e for each in rungs]
     assert errors == pytest.approx([0.04, 0.02, 0.01] if is_sure else [math.nan] * 3, nan_ok=True)

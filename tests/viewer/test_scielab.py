@@ -11,7 +11,8 @@ import scipy.ndimage
 
 from pixsim.base import arrays
 from pixsim.base.errors import PixsimError
-from pixsim.verification import stability
+from pixsim.verification import extreme_cases
+from pixsim.verification.case import KnownAnswer
 from pixsim.viewer import scielab
 
 D65 = np.array([95.047, 100.0, 108.883])
@@ -216,7 +217,7 @@ def test_grey_delta_e_map_invalid_reference_raises():
             scielab.grey_delta_e_map(reference, np.zeros(shape), white_xyz=D65, samples_per_deg=23.0)
 
 
-# --- Extremes beyond the stability table, and that its gates can fail ---
+# --- Extremes beyond the table of extreme cases, and that its gates can fail ---
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -359,6 +360,6 @@ def test_delta_e_near_grey_is_small(formula, chroma):
         ("rounded constants", "xyz_to_lab", lambda xyz, w: scielab._lab(np.moveaxis(xyz / w, -1, 0), *scielab.ZHANG1996_LAB)),
     ],
 )
-def test_stability_cases_detect_wrong_viewer(monkeypatch, name, target, wrong):
-    monkeypatch.setattr(f"pixsim.verification.stability.viewer.{target}", wrong)
-    assert not all(case.passed for case in stability.cases_of("viewer")), name
+def test_extreme_cases_detect_wrong_viewer(monkeypatch, name, target, wrong):
+    monkeypatch.setattr(f"pixsim.verification.extreme_cases.{target}", wrong)
+    assert not all(KnownAnswer(*row).check().passed for row in extreme_cases.viewer()), name

@@ -1,0 +1,94 @@
+"""A row of the table of extreme cases, and what comes out when it is checked."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pixsim.base.arrays import Array
+
+Quantity = ArrayLike | Callable[..., ArrayLike]
+ANSWERS = None  # as expected values: the last of the arguments of each call, which `call` does not get
+
+
+@dataclass(frozen=True)
+class ExtremeCase:
+    """The outcome of an extreme case.
+
+    expected, got : of the element with the largest error
+    error : |got - expected| over the scale of the case, the largest of the case; NaN never passes
+    allowed : limit of the error, with its reason in `source`
+    source : of the expected value
+    """
+
+    room: str
+    name: str
+    expected: float
+    got: float
+    error: float
+    allowed: float
+    source: str
+    warned: str = ""  # warnings of NumPy or Python, which make the case fail
+
+    @property
+    def passed(self) -> bool:
+        return self.error <= self.allowed and not self.warned
+
+    def as_dict(self) -> dict[str, Any]:
+        return asdict(self) | {"passed": self.passed}
+
+
+@dataclass(frozen=True)
+class KnownAnswer:
+    """A row of the table: a kernel called with each of its inputs, and what it must return.
+
+    name : in the table
+    call : returns a number or an array
+    expected : a number, or a function of the arguments of `call`; it broadcasts to what `call` returns. None takes the last of
+        the arguments, which `call` does not get
+    tolerance : largest error, relative to `scale`
+    source : of the expected value, and the reason of the tolerance
+    inputs : the arguments of each call; what is no tuple is the only argument
+    scale : as `expected`; None is the expected value, and zeros must match exactly
+    """
+
+    name: str
+    call: Callable[..., ArrayLike]
+    expected: Quantity | None
+    tolerance: float
+    source: str
+    inputs: Iterable[Any] = ((),)
+    scale: Quantity | None = None
+
+    def check(self, room: str = "") -> ExtremeCase:
+        """Return the worst element of all calls, with the warnings that they raised."""
+        inputs = [arguments if isinstance(arguments, tuple) else (arguments,) for arguments in self.inputs]
+        end = -1 if self.expected is ANSWERS else None
+        with warnings.catch_warnings(record=True) as caught, np.errstate(all="warn", under="ignore"):
+            warnings.simplefilter("always")
+            results = [np.asarray(self.call(*arguments[:end]), float) for arguments in inputs]
+        got = np.concatenate([result.ravel() for result in results])
+        expected = _elements(self.expected, inputs, results)
+        scale = np.abs(expected) if self.scale is None else _elements(self.scale, inputs, results)
+
+        difference = np.abs(got - expected)
+        exact = np.where(difference == 0, 0.0, np.inf)
+        error = np.divide(difference, scale, out=exact, where=(scale > 0) | np.isnan(difference))
+        worst = int(np.argmax(np.where(np.isnan(error), np.inf, error)))
+        warned = "; ".join(sorted({str(warning.message) for warning in caught}))
+        answers = float(expected[worst]), float(got[worst]), float(error[worst])
+        return ExtremeCase(room, self.name, *answers, self.tolerance, self.source, warned)
+
+
+def _elements(quantity: Quantity | None, inputs: Sequence[tuple[Any, ...]], results: Sequence[Array]) -> Array:
+    """Return a quantity for each element of the results, (n,)."""
+    elements = []
+    for arguments, result in zip(inputs, results, strict=True):
+        value = quantity(*arguments) if callable(quantity) else arguments[-1] if quantity is ANSWERS else quantity
+        elements.append(np.broadcast_to(value, result.shape).ravel())
+    return np.concatenate(elements)
