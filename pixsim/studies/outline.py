@@ -11,7 +11,7 @@ from pixsim.base.machine import processors
 from pixsim.optics.camera import Camera
 from pixsim.sensor.integration import pixels_on
 from pixsim.studies.cost import frame_cost, run_cost, study_cost
-from pixsim.studies.film_error import FilmSampling, film_error
+from pixsim.studies.film_error import film_error, samples_per_dot
 from pixsim.studies.keys import light_hash
 from pixsim.studies.lights import Demand, demand_of
 from pixsim.studies.run import NOISE_SENSORS
@@ -75,16 +75,16 @@ def planned_light(demand: Demand) -> dict[str, Any]:
     """Return the film of a light, and what is known of its errors before there is light.
 
     samples, pitch_um, spp : of the film, rows and columns of samples, their pitch, and the rays of each in each pass
-    film_share : least error of the film as a share of mean ΔE, for details and dots that it cannot show
+    film_share : least error of the film as a share of mean ΔE, for dots with less than one sample
     rays_a_pixel : limit of the rays on each pixel, of all passes together; None if only time limits them, 0 if there are none
     render_noise : its target, as a fraction of the sensor's noise
     """
     (height, width), plan, smallest, settings = demand.shape, demand.plan, demand.measured[0], demand.settings
-    sampling = FilmSampling.of(width, smallest, plan.chart)
+    per_dot = samples_per_dot(width, smallest, plan.chart)
     rays = plan.most_samples / math.prod(pixels_on(smallest.camera.die_um, smallest.pixel.pitch_um))
     pitch_um = 1e3 * demand.camera.die_mm / width
     errors = {
-        "film_share": film_error(0.0, 0.0, 1.0, sampling),
+        "film_share": film_error(0.0, 0.0, 1.0, per_dot),
         "rays_a_pixel": 0.0 if plan.exact else None if settings.max_seconds else rays,
         "render_noise": settings.render_noise,
     }

@@ -22,7 +22,7 @@ from pixsim.show.document import plain_text
 from pixsim.show.pages import Figures, plain, rows_csv
 from pixsim.show.render import notebook, write
 from pixsim.studies.cases import Case
-from pixsim.studies.film_error import chains_of_film, delta_e_with, measure_film, standard_noise_of
+from pixsim.studies.film_error import chains_of_film, measure_film, score_with, standard_noise_of
 from pixsim.studies.lights import Demand, demand_of, rendered_light
 from pixsim.studies.preparation import loaded_scene
 from pixsim.verification.case import ExtremeCase
@@ -278,7 +278,7 @@ def _measure(demand: Demand, imaging: Imaging, across: int, noise_times: float, 
         (chain,) = chains_of_film([(image, imaging.display)], [None], imaging)
         if noise is None or noise.shape != chain.signal_e_per_s.shape:
             noise = standard_noise_of(chain, imaging, 0)
-        mean_delta_e = delta_e_with(chain, noise)
+        mean_delta_e = score_with(chain, noise).mean_delta_e
         seconds = time.perf_counter() - start
         film = measure_film(image, [imaging], chart=plan.chart)
     light = LightError.of(image.header, film.as_dict())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 
@@ -18,8 +18,10 @@ from pixsim.optics.camera_lens import LENS_HEADER, Tiling, camera_with_lens
 from pixsim.optics.lens_options import LensOptions
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.studies.film_error import delta_e_on_films
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.score import SeenPicture, white_header
 
 BAYER = {"pattern": "rggb", "sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5}
 
@@ -149,3 +151,10 @@ def other_sensor(imaging: Imaging) -> Imaging:
     pixel = imaging.pixel
     update = {"pitch_um": 1.5 * pixel.pitch_um, "read_noise_e": 7.0}
     return replace(imaging, pixel=pixel.model_copy(update=update))
+
+
+def delta_e_of(films: Sequence[SpectralImage], imaging: Imaging) -> list[float]:
+    """The mean ΔE of whole pictures on several films, with the same noise."""
+    white = white_header([SeenPicture(films[0], imaging.camera, imaging.physics)], imaging.display)
+    shown = [film.with_planes(film.whole.planes, header=film.header | white, margin=film.margin) for film in films]
+    return delta_e_on_films([[(film, imaging.display)] for film in shown], [[None]] * len(films), imaging).mean(axis=1).tolist()

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.film_judges import delta_e_of
 from helpers.looks import Elements
 from helpers.sheets import sheet
 from hypothesis import given, settings, strategies as st
@@ -26,6 +27,7 @@ from pixsim.studies.lineup import Lineup, pixels_of, prepare
 from pixsim.studies.matched_cameras import matched_cameras
 from pixsim.studies.paired import mean_interval, probability_above_zero
 from pixsim.studies.verdicts import facts, verdict_parts
+from pixsim.viewer.imaging import Imaging
 
 # A chart without samples, few pixels and dots: a comparison takes 0.2 s. Measuring the error of a film takes most of the time.
 SMALL: dict[str, Any] = {"display": {"dots": 48}, "resolution": 48}
@@ -364,6 +366,26 @@ def test_film_of_each_sensor_is_measured_once(tmp_path: Path, monkeypatch: pytes
         np.testing.assert_array_equal(sensor.steps.delta_e, anew.delta_e)
         np.testing.assert_array_equal(sensor.steps.finer_delta_e, anew.finer_delta_e)
         assert sensor.steps.error() == anew.error()
+
+
+def test_film_error_of_difference_holds(tmp_path: Path) -> None:
+    """The difference on a coarse film is off by less than its stated error, against a film of eight times the samples.
+
+    Both have the same noise. In compared frames each film has another: it scatters the difference by 0.012 a frame, six times the
+    error that is stated of 128 samples.
+    """
+    files = [sheet(tmp_path / "a.toml", pitch_um=10.0), sheet(tmp_path / "b.toml", pitch_um=14.0, pixels="[46, 46]")]
+    options: dict[str, Any] = {"display": {"dots": 48}, "parameters": {MAX_LP_PER_MM: 40.0}, "repeats": 2, "jobs": 1}
+    coarse, fine = (pixsim.compare(files, resolution=resolution, **options) for resolution in (64, 512))
+    changes = []
+    for on_coarse, on_fine in zip(coarse.sensors, fine.sensors, strict=True):
+        imaging = Imaging.of(on_coarse.sensor.settings, on_coarse.sensor.camera)
+        delta_e, truth = delta_e_of([on_coarse.irradiance, on_fine.irradiance], imaging)
+        changes.append(delta_e - truth)
+    error = coarse.film_delta_e["b"]
+    assert error is not None
+    assert 0.001 < abs(changes[1] - changes[0]) < error
+    assert error < 1.5 * sum(sensor.film_delta_e or math.inf for sensor in coarse.sensors)
 
 
 def test_film_is_fine_enough_for_each(tmp_path: Path) -> None:

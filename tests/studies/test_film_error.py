@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from helpers.film_judges import Picture, other_sensor, pictures
+from helpers.film_judges import Picture, delta_e_of, other_sensor, pictures
 from helpers.film_pictures import CAMERA, JUDGES, PIXEL, SCENES, SET_CELLS, WIDTH, cells, light
 
 from pixsim.base.errors import PixsimError
@@ -17,23 +17,9 @@ from pixsim.optics.camera import Camera
 from pixsim.scene.rules import Chart
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.studies.film_error import (
-    FINE,
-    FINER,
-    FilmSampling,
-    FilmSteps,
-    coarser,
-    delta_e_on_films,
-    film_error,
-    film_steps,
-    finer_parts,
-    measure_film,
-    merges,
-    parts_of,
-)
+from pixsim.studies.film_error import FINER, FilmSteps, coarser, film_error, film_steps, finer_parts, measure_film, merges, parts_of
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.score import SeenPicture, white_header
 
 ROUNDING = 3e-4  # by which rounding to the display's codes and the ADC's moves mean ΔE
 
@@ -46,13 +32,6 @@ def stated_and_true(
     films = [coarser(fine, each) for each in times]
     *delta_e, truth = delta_e_of([*films, fine], imaging)
     return [(measure_film(film, [imaging]).largest_delta_e, abs(own - truth)) for film, own in zip(films, delta_e, strict=True)]
-
-
-def delta_e_of(films: Sequence[SpectralImage], imaging: Imaging) -> list[float]:
-    """The mean ΔE of whole pictures on several films, with the same noise."""
-    white = white_header([SeenPicture(films[0], imaging.camera, imaging.physics)], imaging.display)
-    shown = [film.with_planes(film.whole.planes, header=film.header | white, margin=film.margin) for film in films]
-    return delta_e_on_films([[(film, imaging.display)] for film in shown], [[None]] * len(films), imaging)[:, 0].tolist()
 
 
 @dataclass(frozen=True)
@@ -108,10 +87,10 @@ def test_stated_error_holds_for_pictures_that_set_it() -> None:
 
 @pytest.mark.longest
 @pytest.mark.slow
-def test_stated_error_holds_for_29_of_30_pictures_that_did_not_set_it() -> None:
-    """A limit that holds in 99 % of pictures misses more than one of 30 with a probability of 4 %, one of 90 % with 82 %.
+def test_stated_error_holds_for_28_of_30_pictures_that_did_not_set_it() -> None:
+    """A limit that holds in 95 % of pictures misses more than two of 30 with a probability of 19 %, one of 80 % with 96 %.
 
-    From the coarser films alone, seven of them are missed.
+    The two are cells as wide as a sample and in step with it, and cells of a third of a sample.
     """
     cases = {
         judge.name: stated_and_true(
@@ -120,7 +99,7 @@ def test_stated_error_holds_for_29_of_30_pictures_that_did_not_set_it() -> None:
         for judge in JUDGES
     }
     assert len(cases) == 30
-    assert len(missed(cases, 25.0)) <= 1
+    assert len(missed(cases, 10.0)) <= 2
 
 
 @pytest.mark.parametrize("across", [192, 96, 64, 384])
@@ -133,15 +112,24 @@ def test_stated_error_holds_where_cells_are_in_step_with_samples(across: int) ->
 
 
 GATE = 38  # of 40
+CLEAR = 5e-3  # ΔE, from which a true error tells a limit that is too wide
 
 
 @pytest.mark.longest
 @pytest.mark.slow  # test_stated_error_holds_where_cells_are_in_step_with_samples has it of a few
 def test_stated_error_holds_for_38_of_40_grey_and_coloured_pictures() -> None:
-    """Zone plates, wires, natural pictures, edges, also behind a real lens, and cells of .7 to 3 samples."""
+    """Zone plates, wires, natural pictures, edges, also behind a real lens, and cells of .7 to 3 samples; so does that of differences.
+
+    It is at most five times the true error in 18 of the 32 pictures that have a clear one. Of an error of random sign a 95 % limit is
+    more than five times as large in 30 % of pictures, even if its standard deviation is known.
+    """
     errors = [judged(picture) for picture in pictures()]
     assert len(errors) == 40
     assert sum(error.true <= error.stated + ROUNDING for error in errors) >= GATE
+    assert sum(error.true_difference <= error.of_difference + ROUNDING for error in errors) >= GATE
+
+    clear = [error for error in errors if error.true > CLEAR]
+    assert sum(error.stated <= 5 * error.true for error in clear) >= len(clear) / 2
 
 
 @pytest.mark.parametrize("number", [11, 20])
@@ -157,35 +145,47 @@ def test_error_of_a_difference_is_measured_on_the_difference(number: int) -> Non
 # --- The formula ---
 
 
-@pytest.mark.parametrize("order", [1.0, 1.5, 2.0, 3.0])
-def test_film_error_of_power_law_is_above_truth(order: float) -> None:
-    near, far = (0.01 * (2 ** (order * steps) - 2 ** (order * (steps - 1))) for steps in (1, 2))
-    assert 0.01 <= film_error(near, far) <= 0.01 * (1.25 if order <= 2 else 4) * 1.001
-
-
 def test_film_error_limits() -> None:
     assert film_error(0.0, 0.0) == 0
-    assert film_error(0.01, 0.005) == pytest.approx(0.03)  # does not converge: three times the last step
-    assert film_error(0.0, 0.1) == pytest.approx(0.005)  # a last step that is small by chance
-    assert film_error(0.01, 0.005, finer=0.1) == pytest.approx(0.16)  # all coarser films are alike by chance
-    few = FilmSampling(per_detail=1.0, per_dot=1.0)
-    assert film_error(0.0, 0.0, 2.0, few) == pytest.approx(0.05 * 2.0)
-    assert film_error(0.0, 0.0, 2.0, FilmSampling(0.25, 0.5)) == pytest.approx((0.05 * 1.75 + 0.8) * 2.0)
-    assert film_error(0.0, 0.0, 2.0, FINE) == 0
+    assert film_error(0.01, 0.005) == pytest.approx(0.0025)  # at second order 1/3 is left, at third order 1/7
+    assert film_error(0.0, 0.1) == pytest.approx(0.003)  # a last step that is small by chance
+    assert film_error(0.01, 0.005, finer=0.1) == pytest.approx(0.25)  # all coarser films are alike by chance
+    assert film_error(0.0, 0.0, 2.0, per_dot=1.0) == 0
+    assert film_error(0.0, 0.0, 2.0, per_dot=0.5) == pytest.approx(0.2 * 2.0)
 
 
 # --- Finer films ---
 
 
-def test_finer_film_of_even_samples_is_their_area_means() -> None:
+def test_finer_film_shows_an_edge_within_samples_where_their_means_put_it() -> None:
+    """A straight edge along the samples, anywhere in one: its means over finer cells are exact."""
+    across = (np.arange(192) + 0.5) / 192
+    fine = np.broadcast_to(np.where(across < 0.3411, 0.9, 0.2), (192, 192)).astype(np.float32)
+    for turned in (fine, fine.T):
+        film = turned.reshape(32, 6, 32, 6).mean(axis=(1, 3))
+        (part,) = finer_parts(light(film), 1.0, Display(dots=8), None)
+        for repeated, averaged in FINER:
+            cells = 32 * repeated // averaged
+            means = turned.reshape(cells, 192 // cells, cells, 192 // cells).mean(axis=(1, 3))
+            np.testing.assert_allclose(part.finer(repeated, averaged).factors[1][0], means, rtol=1e-6)
+
+
+def test_finer_film_keeps_the_means_of_samples() -> None:
     picture = np.random.default_rng(5).random((32, 32)).astype(np.float32)
     (part,) = finer_parts(light(picture), 1.0, Display(dots=8), None)
     same, half_more, twice = (part.finer(*film).factors[1][0] for film in FINER)
     np.testing.assert_array_equal(same, picture)
-    np.testing.assert_array_equal(twice, picture.repeat(2, axis=0).repeat(2, axis=1))
-    weights = np.array([[1, 0], [0.5, 0.5], [0, 1]])  # of two samples in three new ones
-    blocks = picture.reshape(16, 2, 16, 2)
-    np.testing.assert_allclose(half_more, np.einsum("ai,bj,risj->rasb", weights, weights, blocks).reshape(48, 48), rtol=1e-6)
+    np.testing.assert_allclose(twice.reshape(32, 2, 32, 2).mean(axis=(1, 3)), picture, atol=1e-6)
+    pairs = picture.reshape(16, 2, 16, 2).mean(axis=(1, 3))
+    np.testing.assert_allclose(half_more.reshape(16, 3, 16, 3).mean(axis=(1, 3)), pairs, atol=1e-6)
+    assert twice.min() >= picture.min()
+    assert twice.max() <= picture.max()
+
+
+def test_finer_film_of_cells_as_wide_as_two_samples_is_the_film() -> None:
+    picture = np.random.default_rng(5).choice([0.1, 0.4, 0.9], (16, 16)).astype(np.float32).repeat(2, axis=0).repeat(2, axis=1)
+    (part,) = finer_parts(light(picture), 1.0, Display(dots=8), None)
+    np.testing.assert_array_equal(part.finer(2).factors[1][0], picture.repeat(2, axis=0).repeat(2, axis=1))
 
 
 def chart_light(chart: Chart) -> SpectralImage:
