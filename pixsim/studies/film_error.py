@@ -176,7 +176,7 @@ class PicturePart:
         return image if averaged == 1 else coarser(image, averaged)
 
 
-def with_edges(planes: Array, factor: int, axis: int) -> Array:
+def with_edges(planes: NDArray[np.float32], factor: int, axis: int) -> NDArray[np.float32]:
     """Return planes on `factor` times as many samples along an axis, with an edge within each old sample and its mean.
 
     A sample between its neighbours holds a step from the light of one to that of the other, where the mean puts it (subcell

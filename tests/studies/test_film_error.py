@@ -118,10 +118,10 @@ CLEAR = 5e-3  # ΔE, from which a true error tells a limit that is too wide
 @pytest.mark.longest
 @pytest.mark.slow  # test_stated_error_holds_where_cells_are_in_step_with_samples has it of a few
 def test_stated_error_holds_for_38_of_40_grey_and_coloured_pictures() -> None:
-    """Zone plates, wires, natural pictures, edges, also behind a real lens, and cells of .7 to 3 samples; so does that of differences.
+    """Zone plates, wires, natural pictures, edges, also behind a real lens, and cells of .7 to 3 samples; and their differences.
 
-    It is at most five times the true error in 18 of the 32 pictures that have a clear one. Of an error of random sign a 95 % limit is
-    more than five times as large in 30 % of pictures, even if its standard deviation is known.
+    It is at most five times the true error in 18 of the 32 pictures that have a clear one. Of an error of random sign a limit that
+    holds in 95 % is more than five times as large in 30 % of pictures, even if its standard deviation is known.
     """
     errors = [judged(picture) for picture in pictures()]
     assert len(errors) == 40
