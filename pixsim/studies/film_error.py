@@ -7,8 +7,8 @@
 * A film with less than one sample for each dot counts what it may miss.
 
 All films have the noise of one frame, so that their mean ΔE differ by the film alone. Of a large picture 16 parts are measured,
-spread evenly over it, and smaller ones on the finer films. The scatter of a change over the parts shows how much of it cancels in
-its mean, and so may be small by chance.
+spread evenly over it, and smaller ones on the finer films. The scatter of a change on finer films over the parts shows how much of
+it cancels in its mean, and so may be small by chance.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ MOST_FINER = 4 * MEASURED_FINER  # cells, where pixels or dots are so large that
 SPREAD_STEPS = (1, 3, PARTS + 1)  # from part to part: all, six, and those of the diagonal
 STANDARD_ERRORS = 3.0  # by which the mean over parts may differ from that of the picture
 MIN_ORDER, MAX_ORDER = 1.0, 2.0  # of convergence of cell means: at edges, and where the picture is smooth
-NEAR, FAR, ROUGH = 0.25, 0.03, 2.5  # of the changes on the coarser films, and of the larger change on the finer films
+NEAR, FAR, ROUGH = 0.2, 0.06, 2.5  # of the changes on the coarser films, and of the larger change on the finer films
 UNSEEN = 0.2  # of mean ΔE, for each sample that a dot lacks, over those that it has
 TOLERATED_DELTA_E, TOLERATED_SHARE = 0.01, 0.02  # of mean ΔE
 MOST_SAMPLES = max(repeated / averaged for repeated, averaged in FINER)
@@ -435,7 +435,7 @@ class FilmSteps:
 
 def _error_of(delta_e: Array, finer_delta_e: Array, mean_delta_e: float, per_dot: float) -> float:
     """Return `film_error` of the changes from film to film, (films, parts), as of `FilmSteps`."""
-    near, far = (step_size(fine, coarse) for fine, coarse in pairwise(delta_e))
+    near, far = np.abs(np.diff(delta_e.mean(axis=1))).tolist()
     finest = max((step_size(finer_delta_e[0], fine) for fine in finer_delta_e[1:]), default=0.0)
     return film_error(near, far, mean_delta_e, per_dot, finest)
 
