@@ -89,7 +89,7 @@ def test_measure_film_parts_agree_with_whole(monkeypatch):
     whole = measure_film(image, [imaging])
     monkeypatch.setattr("pixsim.studies.film_error.MEASURED", 1 << 16)
     parts = measure_film(image, [imaging])
-    assert parts.delta_e != whole.delta_e
+    assert parts.tolerated_delta_e != whole.tolerated_delta_e
     # A quarter of the picture, with its own registration of pixels and dots.
     assert parts.tolerated_delta_e[0] == pytest.approx(whole.tolerated_delta_e[0], rel=0.25)
     assert whole.delta_e[0] / 4 < parts.delta_e[0] < 4 * whole.delta_e[0]
