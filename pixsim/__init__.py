@@ -47,9 +47,10 @@ if TYPE_CHECKING:
     from pixsim.viewer.demosaic import demosaic as demosaic
     from pixsim.viewer.develop_options import Develop as Develop
     from pixsim.viewer.display_options import Display as Display
+    from pixsim.viewer.evaluate import evaluate as evaluate
     from pixsim.viewer.other_pictures import score_pictures as score_pictures
     from pixsim.viewer.scielab import delta_e_map as delta_e_map
-    from pixsim.viewer.score import Score as Score, evaluate as evaluate
+    from pixsim.viewer.score import Score as Score
     from pixsim.viewer.settings_file import load_pixel as load_pixel
 
 __version__ = VERSION
@@ -83,7 +84,8 @@ _NAMES_OF = {
     "viewer.colour_matrix": "colour_matrix",
     "viewer.demosaic": "demosaic",
     "viewer.scielab": "delta_e_map",
-    "viewer.score": "Score evaluate",
+    "viewer.score": "Score",
+    "viewer.evaluate": "evaluate",
     "viewer.other_pictures": "score_pictures",
     "studies.study": "study",
     "studies.compare": "compare",

@@ -31,8 +31,8 @@ from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.locks import TEMPORARY
 from pixsim.sensor.readout import Frame
 from pixsim.studies.result import StudyResult
+from pixsim.viewer.development import Development
 from pixsim.viewer.merging import merge
-from pixsim.viewer.score import ImagingChain
 
 gc.disable()  # until tests are collected, of which all stay
 
@@ -112,6 +112,6 @@ def tiny_result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
 def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[Frame]:
     """Frames scored in this process so far; none of them measures a film that is coarse."""
     frames: list[Frame] = []
-    view = ImagingChain.score_frame
-    monkeypatch.setattr(ImagingChain, "score_frame", lambda self, frame: frames.append(frame) or view(self, frame))
+    view = Development.score
+    monkeypatch.setattr(Development, "score", lambda self, frame: frames.append(frame) or view(self, frame))
     return frames

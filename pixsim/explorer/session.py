@@ -26,10 +26,10 @@ from pixsim.report.run import run_document, run_settings_text
 from pixsim.show.pictures import delta_e_colours, display_codes, png_bytes, scale_end
 from pixsim.show.render import text
 from pixsim.studies.run import LIGHT_FILE, LitRun, RunJob, RunResult, light_run, prepare, score_run
-from pixsim.viewer.kept_scenes import KeptScenes
 from pixsim.viewer.metric_registry import METRICS
 from pixsim.viewer.metrics import DELTA_E
-from pixsim.viewer.score import HEADER_OF_WHITE
+from pixsim.viewer.scene_light import RecentScenes
+from pixsim.viewer.screen import HEADER_OF_WHITE
 from pixsim.viewer.settings_file import run_settings
 
 MOST_LIGHTS, MOST_SENSORS = 3, 2  # in memory; side by side
@@ -85,7 +85,7 @@ class Session:
         self._wake, self._ended, self._told_s = threading.Event(), False, 0.0
         self._asked: PageRequest | None = None
         self._lights: dict[str, LitRun] = {}  # the last one last
-        self._scenes, self._points = KeptScenes(), dict[str, list[float]]()
+        self._scenes, self._points = RecentScenes(), dict[str, list[float]]()
         self.presets, self.controls = presets_of(self.config, self.tables), controls_of((), ())
         first = self._job(PageRequest(0, ((0, {}),)), 0)  # bad input is refused before a page opens
         self.title = first.source if isinstance(self.source, str) else "light in memory"

@@ -16,6 +16,7 @@ import numpy as np
 
 from pixsim.base.arrays import Array, stream
 from pixsim.base.errors import invalid
+from pixsim.base.notes import warn
 from pixsim.measure.estimators import Frames, PairSeries, pair, series
 from pixsim.sensor.collection import collected_fraction, even_light
 from pixsim.sensor.exposure import Exposure
@@ -23,7 +24,7 @@ from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import MAX_BLACK, Sensor, dark_spread_e, least_black_level_dn, read_out, sample_sensor
-from pixsim.sensor.unit_slips import warn_of_unit_slips
+from pixsim.sensor.unit_slips import unit_slips
 
 SHAPE = 200, 200  # pixels: standard errors of 0.7 % for a variance and 0.2 % for a fitted slope
 LEAST_SIDE = 3  # pixels, whose variance divides into that of rows, of columns and of single pixels
@@ -236,7 +237,8 @@ def make_experiment(
     """
     if min(shape) < LEAST_SIDE:
         raise invalid("shape", f"{shape[0]} × {shape[1]} pixels", f"at least {LEAST_SIDE} × {LEAST_SIDE}")
-    warn_of_unit_slips(pixel)
+    for note in unit_slips(pixel):
+        warn(note)
     exposure = exposure or Exposure()
     raw = most_frequent_channel(derive(pixel).at_gain(exposure.gain_db).as_read)
     time_s = usual_integration_s(raw, exposure)

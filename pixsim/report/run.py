@@ -140,7 +140,7 @@ def run_document(result: RunResult, warned: Collection[str] = ()) -> Document:
 
     warned : notes that a reader of the terminal has seen
     """
-    score, header, pitch_um = result.score, result.irradiance.header, result.score.physics.pitch_um
+    header, pitch_um = result.irradiance.header, result.score.physics.pitch_um
     scene = Path(str(header.get("scene", header.get("source", "a picture of another program")))).stem
     unsure = unsure_words(result)
     return Document(
@@ -150,11 +150,7 @@ def run_document(result: RunResult, warned: Collection[str] = ()) -> Document:
         data=result.as_dict(),
         answers=tuple(run_answers(result)),
         lead=(*several_facts(result), *(Note(note) for note in result.notes if note not in {*unsure, *warned})),
-        about=(
-            DELTA_E,
-            camera_words(result),
-            blur_words(*(result.irradiance, result.camera, score.physics, result.settings.display), result.chain.moving.longest_um),
-        ),
+        about=(DELTA_E, camera_words(result), blur_words(result.chain.imaging, result.irradiance, result.chain.moving.longest_um)),
         sections=(budgets_section(budgets_of(result)),),
         data_file="score.json",
         sources=[Path(result.prepared.source)],

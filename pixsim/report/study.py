@@ -66,6 +66,7 @@ from pixsim.studies.result import (
     range_columns,
     shown_mean_and_ci95,
 )
+from pixsim.studies.sampling import imaging_of
 from pixsim.studies.sentences import film_words, is_partly_filled, optima_table, optimum_parts, study_facts
 from pixsim.studies.study_settings import Study
 
@@ -404,9 +405,8 @@ def _pictures(result: StudyResult, views: Sequence[Views]) -> Iterator[Block]:
 def _limits(result: StudyResult) -> Iterator[Block]:
     """Yield the contrast that each blur leaves at the optimum."""
     for curve in result.curves:
-        physics = result.physics(curve.technology, curve.optimum.pitch_um)
-        path = longest_path_um(result, curve, curve.optimum.pitch_um)
-        blur = blur_words(result.irradiance, result.camera, physics, result.study.display, path)
+        imaging = imaging_of(result.study, result.camera, curve.technology, curve.optimum.pitch_um)
+        blur = blur_words(imaging, result.irradiance, longest_path_um(result, curve, curve.optimum.pitch_um))
         yield f"Blur of {curve.optimum.pitch_um:.2f} µm pixels, {curve.label}. {blur}"
 
 

@@ -6,17 +6,15 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from pixsim.optics.camera import Camera
 from pixsim.show.document import Answer, Strong, joined
 from pixsim.show.sentences import interval
 from pixsim.studies.conditions import weighted_criterion
 from pixsim.studies.merit import detail_terms
 from pixsim.studies.regret import Regrets
-from pixsim.viewer.display_options import Display
 
 if TYPE_CHECKING:
     from pixsim.light.spectral import SpectralImage
-    from pixsim.sensor.pixel import PixelPhysics
+    from pixsim.viewer.imaging import Imaging
 
 DELTA_E = (
     "ΔE is the visible difference between a sensor's picture and that of an ideal camera: the CIELAB colour difference after the "
@@ -52,12 +50,12 @@ def weighted_answer(regrets: Regrets) -> Answer:
     return Answer(joined([label, (Strong(f"{best.pitch_um:.2f} µm"), f" (95 %: {interval(best.interval_um)})")], ""))
 
 
-def blur_words(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display, path_um: float = 0.0) -> str:
+def blur_words(imaging: Imaging, irradiance: SpectralImage, path_um: float = 0.0) -> str:
     """Return sentences on the contrast left by each term at `detail_frequency_lp_per_mm`.
 
     path_um : of light that moves in an exposure
     """
-    frequency, name, terms, of_display = detail_terms(irradiance, camera, physics, display, path_um)
+    frequency, name, terms, of_display = detail_terms(imaging, irradiance, path_um)
     left, *others = (f"{term} {'is ' * ('lens' in term.split())}{mtf:.3f}" for term, mtf in terms.items())
     *some, last = (f"that of the {words}" for words in others)
     words = f"At {frequency:.3g} lp/mm, {name}, the MTF of the {', '.join([left, *some])} and {last}: "
@@ -66,6 +64,6 @@ def blur_words(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics,
         return words + "The display shows each pixel as one dot and reduces it no further."
     lost = 1 - math.prod(of_display.values())
     return words + (
-        f"On the display, the MTF of the {display.interpolation} interpolation is {of_display['interpolation']:.3f} and that of "
-        f"the dots {of_display['dot']:.3f}: they reduce the recorded contrast by another {100 * lost:.0f} %."
+        f"On the display, the MTF of the {imaging.display.interpolation} interpolation is {of_display['interpolation']:.3f} and "
+        f"that of the dots {of_display['dot']:.3f}: they reduce the recorded contrast by another {100 * lost:.0f} %."
     )

@@ -22,7 +22,6 @@ from numpy.polynomial.chebyshev import chebvander
 from pixsim.base.arguments import Count, checks_arguments
 from pixsim.base.arrays import Array, PositiveArray
 from pixsim.base.errors import invalid
-from pixsim.base.notes import warn
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_light import RINGS, SPOKES, CameraPupil, camera_pupil
 from pixsim.optics.pupil import disc_pupil, numerical_aperture
@@ -245,18 +244,18 @@ def _seen_nm(physics: PixelPhysics, wavelength_nm: Array) -> Array:
 
 
 @checks_arguments
-def warn_of_stack_limits(physics: PixelPhysics, camera: Camera, wavelength_nm: PositiveArray) -> None:
-    """Warn of each limit of the stack's model that the light of a camera exceeds (`pixsim.optics.stack.model_limits`).
+def stack_notes(physics: PixelPhysics, camera: Camera, wavelength_nm: PositiveArray) -> list[str]:
+    """Return a note for each limit of the stack's model that the light of a camera exceeds (`pixsim.optics.stack.model_limits`).
 
     wavelength_nm : of the light, in any order; only those count to which the pixel responds
     """
     if physics.stack is None:
-        return
+        return []
     y_um, x_um = camera.die_um
     towards_corner = np.linspace(0.0, 0.5, FINE + 1)  # a table's largest angle need not be in the corner
     pupil = camera_pupil(camera).at(x_um * towards_corner, y_um * towards_corner)
-    for text in model_limits(physics.stack, pupil, _seen_nm(physics, wavelength_nm)):
-        warn(f"pixel.stack at {physics.pitch_um:g} µm: {text}")
+    limits = model_limits(physics.stack, pupil, _seen_nm(physics, wavelength_nm))
+    return [f"pixel.stack at {physics.pitch_um:g} µm: {text}" for text in limits]
 
 
 @lru_cache(maxsize=32)

@@ -9,13 +9,12 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
-from pixsim.base.notes import warn
 from pixsim.light.curves import EfficiencyCurve
 from pixsim.light.spectral import SpectralImage, photons_per_joule
 from pixsim.optics.camera import Camera
 from pixsim.optics.lens_defocus import DEPTHS, signed_disc_um
 from pixsim.sensor.camera_data import has_common_scale
-from pixsim.sensor.collection import warn_of_stack_limits
+from pixsim.sensor.collection import stack_notes
 from pixsim.sensor.colour_options import efficiencies_of
 from pixsim.sensor.integration import electrons_per_joule
 from pixsim.sensor.outside import CENTRES_NM, EDGES_NM, OUTSIDE, SHOWN_SHARE
@@ -28,40 +27,41 @@ FLAT_CHANGE = 0.25  # of the electrons, by the curve of silicon in place of one 
 INFRARED_SHARE = 0.05  # of a channel's signal, of which a note tells
 
 
-def warn_of_light(physics: PixelPhysics, camera: Camera, irradiance: SpectralImage) -> None:
-    """Warn of a scene out of focus, of light for which a pixel's model does not hold, and of what its colours do not tell."""
-    warn_of_stack_limits(physics, camera, irradiance.wavelength_nm)
+def light_notes(physics: PixelPhysics, camera: Camera, irradiance: SpectralImage) -> list[str]:
+    """Return notes on a scene out of focus, on light for which a pixel's model does not hold, and on what its colours hide."""
+    notes = stack_notes(physics, camera, irradiance.wavelength_nm)
     sensitivities = physics.pixel.colour.sensitivities if physics.pixel.colour else None
     if isinstance(sensitivities, str) and not has_common_scale(sensitivities):
-        warn(
+        notes.append(
             f"pixel.colour.sensitivities: each channel of {sensitivities} was scaled to its own peak; their ratio is unknown, and "
             "with it the noise before white balance. Balanced colours do not depend on it"
         )
     if note := focus_note(physics.as_read.read_pitch_um, camera, irradiance):
-        warn(note)
+        notes.append(note)
     for name, curve in tables_of(physics).items():
         share = share_beyond(curve, irradiance, physics)
         if share > SHOWN_SHARE:
             end_nm, last = curve[-1]
-            warn(
+            notes.append(
                 f"{name} ends at {end_nm:g} nm with {last:g}, and is 0 beyond: if it stayed so, {share:.0%} of the electrons would "
                 f"come from there. Extend the table, or state a filter ({setting('pixel.infrared_cut_nm', end_nm)})"
             )
     change = flat_efficiency_change(irradiance, physics)
     if abs(change) > FLAT_CHANGE:
         stated = setting("pixel.quantum_efficiency_nm", USUAL_NM)
-        warn(
+        notes.append(
             f"pixel.quantum_efficiency = {physics.pixel.quantum_efficiency:g} holds at every wavelength; if it was measured at "
             f"{USUAL_NM:g} nm, the absorption of silicon would make {abs(change):.0%} {'more' if change > 0 else 'fewer'} "
             f"electrons of this light. State its wavelength ({stated}), or a table"
         )
     shares = infrared_shares(irradiance, physics)
     if max(shares.values(), default=0.0) > INFRARED_SHARE:
-        each = ", ".join(f"{share:.0%} of {letter}" for letter, share in shares.items())
-        warn(
-            f"infrared beyond {INFRARED_NM:g} nm is {each}, which no eye sees: it is part of the colour error. "
+        channels = ", ".join(f"{share:.0%} of {letter}" for letter, share in shares.items())
+        notes.append(
+            f"infrared beyond {INFRARED_NM:g} nm is {channels}, which no eye sees: it is part of the colour error. "
             f"A filter keeps it out ({setting('pixel.infrared_cut_nm', 650.0)})"
         )
+    return notes
 
 
 def focus_note(pitch_um: float, camera: Camera, irradiance: SpectralImage) -> str:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pixsim.base.arguments import Count, NotNegative, Positive, Whole, checks_arguments, checks_fields, made
 from pixsim.base.arrays import Array, NotNegativeArray, NotNegativePicture, NumberArray, in_threads, strips
 from pixsim.base.errors import invalid
+from pixsim.base.notes import warn
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.sensor.colour import Layout
@@ -34,7 +35,7 @@ from pixsim.sensor.pixel import CENTRED, PixelPhysics, Registration, derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.quantities import MAX_CODE_BITS, Aspect, FrameBits, GainDb, Pitch, SaturatedFraction
 from pixsim.sensor.stages import gains_of_rows, moving_in
-from pixsim.sensor.unit_slips import warn_of_unit_slips
+from pixsim.sensor.unit_slips import unit_slips
 
 # Far above this mean the variance of NumPy's Poisson is wrong (+3.5 % at 1e15); a rounded normal lacks only the skewness
 # 1/√mean, 3e-5 and less.
@@ -162,7 +163,8 @@ def make_sensor(pixel: Pixel, camera: Camera, seed: Whole = 0, *, aspect: Aspect
     >>> make_sensor(Pixel(pitch_um=5.3), Camera(die_mm=2.7136)).shape  # the die of Chen et al. (2000)
     (512, 512)
     """
-    warn_of_unit_slips(pixel)
+    for note in unit_slips(pixel):
+        warn(note)
     aspect = camera.die_mm / camera.height_mm if aspect is None else aspect
     physics, width_um = derive(pixel).as_read, camera.die_um[1]
     shape = pixels_on((width_um / aspect, width_um), physics.read_pitch_um, physics.registration)

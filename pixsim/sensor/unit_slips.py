@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
-from pixsim.base.notes import warn
-
 if TYPE_CHECKING:
     from pixsim.sensor.pixel_options import PixelOptions
 
 # The public names; everything else is internal.
-__all__ = ["SLIPS", "slip_hint", "unit_slips", "warn_of_unit_slips"]
+__all__ = ["SLIPS", "slip_hint", "unit_slips"]
 
 
 class UnitSlip(NamedTuple):
@@ -96,15 +94,6 @@ def unit_slips(pixel: PixelOptions) -> list[str]:
         if value is not None and converted is not None and _is_slip(slip, value, converted):
             texts.append(f"pixel: {name} = {number:g} is unusual. {_hint(name, number)}")
     return texts
-
-
-def warn_of_unit_slips(pixel: PixelOptions, label: str = "") -> None:
-    """Warn of each of the `unit_slips` of a pixel, on behalf of the public function that calls this one.
-
-    label : what stands before each warning, as the name of the sensor
-    """
-    for text in unit_slips(pixel):
-        warn(f"{label}{text}")
 
 
 def _is_slip(slip: UnitSlip, value: float, converted: float) -> bool:

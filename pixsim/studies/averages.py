@@ -20,9 +20,11 @@ from pixsim.studies.displays import DisplayDifference
 from pixsim.studies.film_error import FilmError, FilmSteps
 from pixsim.studies.lineup import Lineup
 from pixsim.studies.paired import mean_interval, probability_above_zero
-from pixsim.viewer.causes import Cause, causes_of, lightness_range
-from pixsim.viewer.light_error import LightError
-from pixsim.viewer.score import FrameScore, clip_words, clips_dark
+from pixsim.viewer.causes import causes_of, lightness_range
+from pixsim.viewer.dark_clip import clip_words, clips_dark
+from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.light_error import Cause, LightError
+from pixsim.viewer.score import FrameScore
 from pixsim.viewer.setting import Run
 
 if TYPE_CHECKING:
@@ -39,7 +41,7 @@ class Compared:
     irradiance : light on the sensor, before diffraction
     score : of its first frame
     on_displays : (displays, repeats) mean ΔE of each frame, in the order of `Lineup.displays`
-    dark : effect of clipping dark pixels at 0 DN, as `pixsim.viewer.score.dark_clip`
+    dark : effect of clipping dark pixels at 0 DN, as `pixsim.viewer.dark_clip.dark_clip`
     white_e : mean electrons of the scene's white on axis in its first frame
     steps : on this film and on coarser ones, for the film's error of a difference
     colour : channels, matrix and noise gains, as in score.json; None for a monochrome sensor
@@ -66,10 +68,15 @@ class Compared:
     @cached_property
     def causes(self) -> tuple[Cause, ...]:
         """Causes of its mean ΔE beside its noise and blur, the largest first."""
-        frame, lightness = self.score.frame, lightness_range(self.score.ideal)
-        of_frame = self.white_e, frame.integration_s, lightness, frame.saturated_fraction
-        exposure = self.sensor.settings.exposure
-        return causes_of(self.irradiance.header, self.score.display, self.score.physics, *of_frame, exposure)
+        frame, sensor = self.score.frame, self.sensor
+        return causes_of(
+            Imaging.of(sensor.settings, sensor.camera).changed(display=self.score.display),
+            self.irradiance.header,
+            white_e=self.white_e,
+            integration_s=frame.integration_s,
+            lightness=lightness_range(self.score.ideal),
+            saturated_fraction=frame.saturated_fraction,
+        )
 
     @property
     def delta_e(self) -> Array:

@@ -24,10 +24,9 @@ from pixsim.base.layers import listed, plain_tables
 from pixsim.base.notes import collected_notes, warn, without_warnings
 from pixsim.base.progress import Progress, Stage, no_stage
 from pixsim.scene.plan import Plan
-from pixsim.sensor.infrared import warn_of_light
-from pixsim.sensor.pixel import derive
+from pixsim.sensor.infrared import light_notes
 from pixsim.sensor.pixel_options import BORDER_PIXELS
-from pixsim.sensor.unit_slips import warn_of_unit_slips
+from pixsim.sensor.unit_slips import unit_slips
 from pixsim.studies.averages import Averaged, Compared, Observed
 from pixsim.studies.cases import Case, named
 from pixsim.studies.comparison import Comparison
@@ -42,14 +41,18 @@ from pixsim.studies.pair_uncertainty import PairUncertainty, Types, series_of_ty
 from pixsim.studies.results_file import ResultsFile
 from pixsim.studies.rows import Row
 from pixsim.studies.sensor_types import TYPES_FILE, sample_of
-from pixsim.studies.series import Series, judging_of
+from pixsim.studies.series import Series, metrics_of
 from pixsim.studies.study_settings import Study
 from pixsim.studies.uncertainty import FEW_SENSORS
+from pixsim.viewer.chain import make_chain
+from pixsim.viewer.dark_clip import dark_clip
 from pixsim.viewer.develop_options import of_python
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.metric_registry import names_of
 from pixsim.viewer.metrics import DELTA_E
-from pixsim.viewer.score import PreparedScene, SceneCache, Score, SeenPicture, dark_clip, warn_of_clipping, white_header
+from pixsim.viewer.scene_light import PreparedScene, SceneCache, SceneLight
+from pixsim.viewer.score import Score
+from pixsim.viewer.screen import warn_of_clipping, white_header
 from pixsim.viewer.setting import Run
 
 
@@ -253,15 +256,15 @@ def lights_on_one_film(lineup: Lineup, stage: Stage) -> list[tuple[Light, Plan]]
                 break
         else:
             images = [light.image for light, _ in lights]
+            display = lineup.settings.display
             seen = [
-                SeenPicture(image, each.camera, derive(each.settings.pixel), lineup.border_um(each.camera))
+                (Imaging.of(each.settings, each.camera).changed(display=display, border_um=lineup.border_um(each.camera)), image)
                 for each, image in zip(lineup.cases, images, strict=True)
             ]
-            display = lineup.settings.display
             # Of a plate each light says what it holds: one that ends at 830 nm has less of an infrared lamp.
-            of_all = {} if display.white else white_header(seen, display)
-            for own, image in zip(seen, images, strict=True):
-                image.header |= white_header([own], display) if display.white else of_all
+            of_all = {} if display.white else white_header(seen)
+            for pair_seen in seen:
+                pair_seen[1].header |= white_header([pair_seen]) if display.white else of_all
             return lights
 
 
@@ -275,27 +278,20 @@ def series_of_sensor(lineup: Lineup, sensor: Case[Run], light: Light, repeats: i
     with named(sensor.name):
         border_um, pixel = lineup.border_um(sensor.camera), sensor.settings.pixel
         asked = lineup.settings.model_copy(update={"metrics": tuple(dict.fromkeys((DELTA_E.name, *lineup.settings.metrics)))})
-        judging = judging_of(asked, repeats)
-        imaging = replace(Imaging.of(sensor.settings, sensor.camera), border_um=border_um, single=True, judging=judging)
-        warn_of_unit_slips(pixel, f"{sensor.name}: ")
         first, *others = lineup.different_displays
-        scenes = SceneCache(
-            light.image,
-            sensor.camera,
-            first,
-            len(imaging.physics.channels),
-            single=True,
-            others=others,
-            judging=judging,
-            without=light.without,
-            develop=imaging.develop,
+        imaging = Imaging.of(sensor.settings, sensor.camera).changed(
+            display=first, border_um=border_um, single=True, metrics=metrics_of(asked, repeats)
         )
+        for note in unit_slips(pixel):
+            warn(f"{sensor.name}: {note}")
+        scenes = SceneCache(imaging, SceneLight(light.image, light.without), len(imaging.physics.channels), others)
         columns = {"pair": pair, "condition": lineup.condition}
         series = Series(sensor.name, imaging, scenes, ("compare", sensor.settings.seed), False, columns, lineup.condition, False)
         prepared = series.light()
         assert isinstance(prepared, PreparedScene)
         warn_of_clipping(prepared.beyond_white, light.image.header, imaging.display)
-        warn_of_light(imaging.physics, sensor.camera, light.image)
+        for note in light_notes(imaging.physics, sensor.camera, light.image):
+            warn(note)
         return series
 
 
@@ -309,9 +305,9 @@ def observed_of(lit: Lit, rows: Sequence[Sequence[Row]]) -> Observed:
     for sensor, (light, plan), series, own in zip(lineup.cases, lit.lights, lit.series, rows, strict=True):
         on_displays = {
             metric.name: numbers_in(own, metric.columns[0]).reshape(-1, len(series.displays)).T[places]
-            for metric in series.imaging.judging.metrics
+            for metric in series.imaging.metrics.chosen
         }
-        chain = series.imaging.chain(series.light(), series.imaging.registered(0))
+        chain = make_chain(series.imaging.registered(0), series.light())
         score = chain.simulate(*series.stream, 0)
         time_s = score.frame.integration_s
         with without_warnings():  # the result itself warns
@@ -327,7 +323,7 @@ def observed_of(lit: Lit, rows: Sequence[Sequence[Row]]) -> Observed:
             dark_clip(score.physics, time_s, chain.white_e_per_s * time_s),
             chain.white_e_per_s * time_s,
             steps,
-            None if chain.rendition is None else chain.colour_facts(time_s),
+            None if chain.rendition is None else chain.development.colour_facts(time_s),
             {name: values[0] for name, values in on_displays.items()},
         )
         found.append(compared)
@@ -377,7 +373,7 @@ def differences_of_types(
     }
     drawn_series = [drawn for series in base_series.values() for drawn in series_of_types(series, types)]
     rows = rows_of(drawn_series, FEW_SENSORS, file, workers, progress)
-    metrics = drawn_series[0].imaging.judging.metrics
+    metrics = drawn_series[0].imaging.metrics.chosen
 
     values: dict[tuple[str, Lit, str], Array] = {}  # (types, frames) of a metric, of a sensor in a light
     for metric in metrics:

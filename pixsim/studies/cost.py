@@ -18,7 +18,7 @@ from pixsim.studies.engine import workers_here
 from pixsim.studies.sampling import BYTES_PER_PIXEL, study_pitches_um
 from pixsim.studies.study_settings import Study
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.score import SCENE_CACHE_BYTES
+from pixsim.viewer.scene_light import SCENE_CACHE_BYTES
 
 # On one core of an ordinary machine: the start, the kernel of a light, a sample and a cell of a film, that of one behind a real
 # lens, a frame with its pixels and dots, a page of several sizes, and the figures of a curve.

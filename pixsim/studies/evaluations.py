@@ -20,9 +20,10 @@ import numpy as np
 
 from pixsim.base import cache
 from pixsim.base.errors import PixsimError
+from pixsim.base.notes import warn
 from pixsim.base.progress import Progress
 from pixsim.base.records import content_hash
-from pixsim.sensor.infrared import warn_of_light
+from pixsim.sensor.infrared import light_notes
 from pixsim.sensor.integration import pixels_on
 from pixsim.sensor.readout import Frame, Sensor, lasting, make_frame
 from pixsim.studies.cost import frame_cost, jobs_in_memory
@@ -32,21 +33,14 @@ from pixsim.studies.results_file import ResultsFile, row_columns
 from pixsim.studies.rows import NO_ROWS, Row, RowStore, StoredRows
 from pixsim.studies.sampling import Sizes
 from pixsim.studies.series import Series
+from pixsim.viewer.chain import ImagingChain, chain_of_frames, make_chain
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.display_options import Display
+from pixsim.viewer.frame_under_test import FrameUnderTest
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.judged import Judged
 from pixsim.viewer.metrics import NoNumberError
-from pixsim.viewer.score import (
-    IdealFacts,
-    ImagingChain,
-    PreparedScene,
-    SharedLight,
-    Unprepared,
-    chain_of_frames,
-    check_one_ideal,
-    shown,
-)
+from pixsim.viewer.scene_light import PreparedScene, SceneLight, SharedLight, registered_in
+from pixsim.viewer.screen import IdealFacts, check_one_ideal, display_image, ideal_light_of_dots
 
 FEW_SERIES = 64
 # In the rows of a worker only; the second holds the reason, and so does the third, with the name of a metric after it.
@@ -73,7 +67,7 @@ def check_ideals(series: Sequence[Series]) -> None:
             coloured.setdefault(id(each.scenes), each)
     if grey:
         ideals = {
-            each.label: shown(each.scenes.ideal(each.imaging.physics, each.border_um), each.imaging.display)
+            each.label: display_image(ideal_light_of_dots(each.imaging, each.scenes.irradiance), each.imaging.display)
             for each in coloured.values()
         }
         check_one_ideal(grey, ideals)
@@ -81,7 +75,8 @@ def check_ideals(series: Sequence[Series]) -> None:
 
 def warn_of_stacks(series: Series, smallest_um: float) -> None:
     """Warn of the limits of a series' stack, for its smallest pixels, which exceed them most."""
-    warn_of_light(series.imaging.at(smallest_um).physics, series.imaging.camera, series.scenes.irradiance)
+    for note in light_notes(series.imaging.at(smallest_um).physics, series.imaging.camera, series.scenes.irradiance):
+        warn(note)
 
 
 @dataclass(frozen=True)
@@ -177,10 +172,10 @@ def kept_sensor(chain: ImagingChain, *key: object) -> Sensor:
 
 def chain_of(task: Task, light: SharedLight, repeat: int) -> ImagingChain:
     """Return the imaging chain of a repeat, with its registration; that of the last one, if it is the same."""
-    physics = task.imaging.registered(repeat, light)
-    key = task.light_key, physics.pitch_um, physics.registration
+    imaging = registered_in(task.imaging, light, repeat)
+    key = task.light_key, imaging.pixel.pitch_um, imaging.pixel.registration
     if getattr(_recent, "key", None) != key:
-        _recent.chain, _recent.key = task.imaging.chain(light, physics), key
+        _recent.chain, _recent.key = make_chain(imaging, light), key
     chain: ImagingChain = _recent.chain
     return chain
 
@@ -190,13 +185,13 @@ def evaluate_task(task: Task, light: SharedLight) -> list[Row]:
     rows: list[Row] = []
     repeats = task.repeats
     try:
-        judging = task.imaging.judging
-        for repeat, chain, frame, mean_e in frames_of(task, light, repeats, shown=not judging.needs_light):
+        needs_light = task.imaging.metrics.needs_light
+        for repeat, chain, frame, mean_e in frames_of(task, light, repeats, shown=not needs_light):
             known = {} if mean_e is None else {MEAN: mean_e}
             for display in repeats[repeat]:
-                on_screen = chain if isinstance(light, Unprepared) else chain.on(light.screens[display])
+                on_screen = chain if isinstance(light, SceneLight) else chain.on(light.screens[display])
                 of_run = 0, task.imaging.stream_of(task.stream, repeat)  # each sensor of a run is one by itself
-                judged = Judged(on_screen, frame, judging, *(of_run if task.imaging.is_run else (repeat, task.stream)))
+                judged = FrameUnderTest.of(on_screen, frame, *(of_run if task.imaging.is_run else (repeat, task.stream)))
                 lacking: dict[str, str] = {}
                 numbers = {name: repr(value) for name, value in (judged.statistics(lacking) | known).items()}
                 numbers |= {LACKING + name: reason for name, reason in lacking.items()}
@@ -253,14 +248,15 @@ def shown_chain(task: Task, light: SharedLight, repeat: int, known: cache.Arrays
     """
     if not isinstance(light, PreparedScene) or task.imaging.develop.denoise == "wiener_bound":  # which knows the light
         return None
-    imaging, physics = task.imaging, task.imaging.registered(repeat, light)
+    imaging = registered_in(task.imaging, light, repeat)
+    physics = imaging.physics
     rows, columns = pixels_on(light.array_um, physics.as_read.read_pitch_um, physics.registration)
     whole = rows * physics.planes, columns
     found = kept_frame(known, repeat, whole, imaging)
     if found is None:
         return None
     exposed = lasting(imaging.exposure, float(found[TIME]))
-    return chain_of_frames(light, physics, exposed, imaging.correction, imaging.develop, whole)
+    return chain_of_frames(imaging, light, exposed, whole)
 
 
 def frames_of(
@@ -277,7 +273,7 @@ def frames_of(
     for repeat in repeats:
         chain = (shown_chain(task, light, repeat, known) if shown and known else None) or chain_of(task, light, repeat)
         if chain.rendition is not None:
-            chain.matrix  # noqa: B018 – raises an error before a frame is made
+            chain.development.matrix  # noqa: B018 – raises an error before a frame is made
         shape = chain.signal_e_per_s.shape
         found = kept_frame(known, repeat, (shape[0], shape[1]), task.imaging)
         if found is not None:
@@ -304,16 +300,16 @@ def ideal_facts(series: Series, smallest_um: float) -> IdealFacts:
 
     They follow from the light, not from the rows, so that a resumed study knows them as one that evaluates them.
     """
-    smallest, hashes = series.imaging.at(smallest_um).physics, series.fingerprints
+    smallest, hashes = series.imaging.at(smallest_um), series.fingerprints
     electrons, *others = series.light_key
-    pixels_um = smallest.as_read.read_pitch_um if series.imaging.display.raster == "one_to_one" else None
+    pixels_um = smallest.physics.as_read.read_pitch_um if series.imaging.display.raster == "one_to_one" else None
     seen = [hashes.imaging, hashes.shown[0], blake2b(electrons).hexdigest(), *others, pixels_um]
 
     def read(known: dict[str, Any]) -> IdealFacts:
         low, high = known["lightness"]
         return IdealFacts(float(known["beyond_white"]), (float(low), float(high)))
 
-    compute = partial(series.scenes.ideal_facts, series.light_key, smallest, series.border_um)
+    compute = partial(series.scenes.ideal_facts, series.light_key, smallest)
     return cache.load_or_compute("ideal", content_hash(seen), read, compute, lambda facts: facts._asdict())
 
 
@@ -350,7 +346,7 @@ class Evaluations:
     def __init__(self, series: Sequence[Series], results: Path | None, workers: Workers, cases: int = 1) -> None:
         self.series, self._workers = series, workers
         more = (*series[0].columns, *((DOTS, DEGREE) if any(len(each.displays) > 1 for each in series) else ()))
-        metrics = series[0].imaging.judging.metrics
+        metrics = series[0].imaging.metrics.chosen
         self._results = None if results is None else ResultsFile(results, more, metrics)
         self._done = RowStore(row_columns(more, metrics))
         self._left_out: dict[str, str] = {}

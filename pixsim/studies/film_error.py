@@ -37,11 +37,14 @@ from pixsim.sensor.collection import Illumination
 from pixsim.sensor.integration import ChannelLight, PartBehindLens, illumination_of
 from pixsim.sensor.motion_options import STILL
 from pixsim.sensor.readout import frame_variance_dn2, integration_time_s, lasting
+from pixsim.viewer.chain import ImagingChain, make_chain
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.noise_budget import noiseless_frame
-from pixsim.viewer.score import FrameScore, ImagingChain, SeenPicture, white_header
+from pixsim.viewer.scene_light import SceneLight, prepare_scene
+from pixsim.viewer.score import FrameScore
+from pixsim.viewer.screen import white_header
 
 MIN_CELLS = 4  # across a film
 MIN_PIXELS, MIN_PART_CELLS, MIN_DOTS = 16, 16, 8  # across a part; the cells are those of the coarsest film
@@ -357,7 +360,7 @@ def measure_film(
     """
 
     with without_warnings():  # the run itself warns of the white
-        white = white_header([SeenPicture(image, each.camera, each.physics) for each in measured], measured[0].display)
+        white = white_header([(imaging.changed(border_um=None, motion=STILL), image) for imaging in measured])
         shown = image.with_planes(image.whole.planes, header=image.header | white, margin=image.margin)
 
     def steps_of(number: int, imaging: Imaging) -> tuple[float, tuple[float, float]]:
@@ -469,7 +472,7 @@ def _of_parts(imaging: Imaging) -> Imaging:
     """
     if not imaging.develop.adapts:
         return imaging
-    return replace(imaging, develop=imaging.develop.model_copy(update={"denoise": "wiener_bound"}))
+    return imaging.changed(develop=imaging.develop.model_copy(update={"denoise": "wiener_bound"}))
 
 
 def film_steps(
@@ -655,11 +658,12 @@ def chains_of_film(film: Film, lights: Sequence[tuple[ChannelLight, ...] | None]
     """Return the imaging chain of each part of a film, all exposed as long as the brightest of them allows."""
     # Each part has the border of its own pixels; what moves or flickers shows less of the film.
     steady, physics = imaging.exposure.steady, imaging.physics
-    imaging = replace(imaging, border_um=None, single=False, motion=STILL, exposure=steady)
+    imaging = imaging.changed(border_um=None, single=False, motion=STILL, exposure=steady)
 
     def prepare(number: int) -> ImagingChain:
         part, display = film[number]
-        return imaging.chain(replace(imaging, display=display).light(part, physics, lights[number]), physics)
+        on_part = imaging.changed(display=display)
+        return make_chain(on_part, prepare_scene(on_part, SceneLight(part), lights=lights[number]))
 
     chains = each_of(prepare, len(film), sum(math.prod(part.shape) for part, _ in film))
     brightest_e_per_s = max(float(chain.signal_e_per_s.max()) for chain in chains)
@@ -693,7 +697,7 @@ def score_with(chain: ImagingChain, standard_noise: Array) -> FrameScore:
 
     Drawn anew for each film, the noise would hide changes of mean ΔE of less than 1e-3.
     """
-    time_s = integration_time_s(chain.exposure, chain.physics, float(chain.signal_e_per_s.max()))
+    time_s = chain.integration_s
     mean = noiseless_frame(chain, time_s)
     electrons = mean.electrons + standard_noise * _deviation_e(chain, time_s)
-    return chain.score_frame(replace(mean, corrected_e=electrons.astype(np.float32)))
+    return chain.development.score(replace(mean, corrected_e=electrons.astype(np.float32)))

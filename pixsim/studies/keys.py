@@ -18,7 +18,7 @@ from pixsim.sensor.pixel_options import Pixel
 from pixsim.studies.rows import Row
 from pixsim.studies.sampling import first_sampling
 from pixsim.studies.study_settings import Study
-from pixsim.viewer.raw_metrics import has_target
+from pixsim.viewer.metric_options import has_target
 
 if TYPE_CHECKING:
     from pixsim.studies.series import Series
@@ -76,7 +76,7 @@ class Fingerprints:
         """Hash of each display, of the part of the die that is scored on it, of the development, and of the precision."""
         imaging = self.series.imaging
         border_um = imaging.border_um if imaging.display.raster == "fixed_size" else 0.0
-        own = imaging.develop.content_hash, border_um, imaging.single, imaging.judging.content
+        own = imaging.develop.content_hash, border_um, imaging.single, imaging.metrics.content
         return [content_hash([display.content_hash, *own]) for display in self.series.displays]
 
     @cached_property

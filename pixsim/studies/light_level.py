@@ -11,7 +11,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.show.sentences import span
 from pixsim.viewer.display import white_light
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.score import HEADER_OF_WHITE, UNITS_OF_WHITE, WHITE_FROM
+from pixsim.viewer.screen import HEADER_OF_WHITE, UNITS_OF_WHITE, WHITE_FROM
 
 
 class LightLevel(NamedTuple):

@@ -32,14 +32,16 @@ from pixsim.studies.engine import Workers, results_of, workers_here
 from pixsim.studies.film_error import FilmError, display_of, measure_film, measured_places
 from pixsim.studies.keys import OF_LIGHT, light_hash
 from pixsim.studies.pixels import physics_of
-from pixsim.studies.preparation import first_film, plan_of, smallest_pixels, study_plan
-from pixsim.studies.sampling import border_on_um, imaging_of, largest_pixel_um, study_pitches_um
+from pixsim.studies.preparation import first_film, plan_of, study_plan
+from pixsim.studies.sampling import imaging_of, largest_pixel_um, study_pitches_um
 from pixsim.studies.study_settings import Study
+from pixsim.viewer.chain import make_chain
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.metric_options import has_target
 from pixsim.viewer.noise_budget import noiseless_frame
-from pixsim.viewer.raw_metrics import has_target
-from pixsim.viewer.score import SeenPicture, perceived_lab, white_header
+from pixsim.viewer.scene_light import SceneLight, prepare_scene
+from pixsim.viewer.screen import perceived_lab, white_header
 from pixsim.viewer.setting import Run, Setting
 
 WORTH_WIDENING = 1.2
@@ -157,9 +159,9 @@ class Demand:
 
 def delta_e_between(image: SpectralImage, other: SpectralImage, imaging: Imaging) -> float:
     """Return the mean ΔE between two lights as one sensor without noise shows them; of a large picture, between its parts."""
-    imaging = replace(imaging, border_um=None, motion=STILL, exposure=imaging.exposure.steady)
+    imaging = imaging.changed(border_um=None, motion=STILL, exposure=imaging.exposure.steady)
     with without_warnings():  # the run itself warns of the white
-        white = white_header([SeenPicture(image, imaging.camera, imaging.physics)], imaging.display)
+        white = white_header([(imaging, image)])
     places = measured_places(image, imaging.physics.as_read.read_pitch_um, imaging.display)
     whole = slice(0, image.shape[0]), slice(0, image.shape[1])
     delta_e = []
@@ -170,10 +172,11 @@ def delta_e_between(image: SpectralImage, other: SpectralImage, imaging: Imaging
             planes = light.planes[:, place[0], place[1]]
             part = light.with_planes(planes, header=light.header | white)
             display = display_of(imaging.display, place[1], image.shape[1]) if places else imaging.display
-            chain = imaging.chain(replace(imaging, display=display).light(part))
+            on_part = imaging.changed(display=display)
+            chain = make_chain(on_part, prepare_scene(on_part, SceneLight(part)))
             brightest_e_per_s = float(chain.signal_e_per_s.max())
             exposure = exposure or integration_time_s(imaging.exposure, imaging.physics, brightest_e_per_s)
-            pictures.append(chain.score_frame(noiseless_frame(chain, exposure)).image)
+            pictures.append(chain.development.score(noiseless_frame(chain, exposure)).image)
         screen = chain.screen
         seen = replace(screen, ideal_lab=perceived_lab(pictures[0], screen.display, screen.full, screen.single))
         delta_e.append(float(seen.delta_e_of(pictures[1]).mean()))
@@ -339,20 +342,21 @@ def render_for(case: Case[Study], progress: Progress | None = None, film: FilmEr
     except AlikeChannelsError as error:
         label = label_in(study.technologies[0], case.words)
         raise AlikeChannelsError(f"{label}: none of its pixel sizes is possible. {error}") from None
-    light.image.header.update(white_header(seen_by_all(study, light.image, light.camera), study.display))
+    light.image.header.update(white_header(seen_by_all(study, light.image, light.camera)))
     return light
 
 
 def given_light(case: Case[Study], picture: SpectralImage) -> GivenLight:
     """Return the light of a case whose light is given, with the white that it is shown with."""
     study, image = case.settings, copy(picture)
-    image.header = image.header | white_header(seen_by_all(study, image, case.camera), study.display)
+    image.header = image.header | white_header(seen_by_all(study, image, case.camera))
     return GivenLight(image, case.camera, without=case.without)
 
 
-def seen_by_all(study: Study, image: SpectralImage, camera: Camera) -> list[SeenPicture]:
-    """Return a picture as the smallest pixels of each technology of a study see it, for the white that all of them share."""
-    return [SeenPicture(image, camera, physics, border_on_um(study, camera)) for physics in smallest_pixels(study)]
+def seen_by_all(study: Study, image: SpectralImage, camera: Camera) -> list[tuple[Imaging, SpectralImage]]:
+    """Return a picture beside the smallest pixels of each technology of a study, for the white that all of them share."""
+    smallest_um = {name: float(study_pitches_um(study, name).min()) for name in study.technologies}
+    return [(imaging_of(study, camera, name, pitch_um), image) for name, pitch_um in smallest_um.items()]
 
 
 def measured_pixels(study: Study, camera: Camera) -> list[Imaging]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
@@ -16,11 +16,12 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.sensor.correction_options import NO_CORRECTION, Correction
 from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.infrared import warn_of_light
+from pixsim.sensor.infrared import light_notes
 from pixsim.sensor.integration import array_size_um
 from pixsim.sensor.motion_options import STILL, Motion
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.sensor.unit_slips import warn_of_unit_slips
+from pixsim.sensor.technology import load_technology
+from pixsim.sensor.unit_slips import unit_slips
 from pixsim.show.document import Document, Table
 from pixsim.show.pages import dataframe_of, rows_csv
 from pixsim.show.render import notebook
@@ -33,21 +34,13 @@ from pixsim.viewer.develop_options import DEVELOP, Develop, check_develop
 from pixsim.viewer.display import dot_edges_um, picture_size_um
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.judged import Judging
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.metric_registry import metrics_named
-from pixsim.viewer.metrics import PIXEL_STATISTICS, Metric, MetricContext, columns_of_metrics, columns_with_numbers
-from pixsim.viewer.score import (
-    SceneCache,
-    Score,
-    SeenPicture,
-    scored_border_um,
-    warn_of_clipping,
-    warn_of_other_camera,
-    warn_of_unused_light,
-    white_header,
-    with_white,
-)
+from pixsim.viewer.metrics import PIXEL_STATISTICS, Metric, MetricContext, MetricRequest, columns_of_metrics, columns_with_numbers
+from pixsim.viewer.review import background_notes, camera_notes
+from pixsim.viewer.scene_light import SceneCache, SceneLight
+from pixsim.viewer.score import Score
+from pixsim.viewer.screen import warn_of_clipping, white_header, with_white
 from pixsim.viewer.unused import Configuration, warn_of_unused_settings
 
 if TYPE_CHECKING:
@@ -149,62 +142,87 @@ def sweep(
     for name in by_name:
         if not isinstance(name, int) and (fault := "is empty" if not name else name_fault(name)):
             raise invalid("pixels", f"a name that {fault}: {name!r:.80}", "names for a column of a table")
-    exposure, display = exposure or Exposure(), display or Display()
-    correction, develop, motion = correction or NO_CORRECTION, develop or DEVELOP, motion or STILL
-    judging = Judging(metrics_named(metrics), metric or METRIC_OPTIONS)
+    request = MetricRequest(metrics_named(metrics), metric or METRIC_OPTIONS)
+    asked = {
+        name: Imaging(
+            camera,
+            pixel,
+            load_technology(pixel.technology),
+            exposure or Exposure(),
+            display or Display(),
+            correction=correction or NO_CORRECTION,
+            develop=develop or DEVELOP,
+            motion=motion or STILL,
+            metrics=request,
+            is_run=True,
+        )
+        for name, pixel in by_name.items()
+    }
     with collected_notes():
-        warn_of_unused_light(judging, without)
-        warn_of_other_camera(light, camera)
-        each: dict[Any, Imaging] = {}
-        borders_um: list[float] = []
-        for name, pixel in by_name.items():
+        for note in (*background_notes(request.names, without), *camera_notes(camera, light)):
+            warn(note)
+        for name, imaging in asked.items():
             with named(f"pixel {name}"):
-                judging.check(MetricContext(pixel.colour is not None, without is not None))
-                check_develop(develop, pixel)
-                imaging = Imaging(
-                    camera, pixel, exposure, display, correction, develop, judging=judging, is_run=True, motion=motion
-                )
-                read = imaging.physics.as_read
-                own_um = scored_border_um(imaging.physics, motion, exposure, camera) or read.border_um
-                borders_um.append(own_um)
-                of_light = picture_size_um(light), read.read_pitch_um, display, own_um, array_size_um(light, camera)
-                dot_edges_um(*of_light, read.registration)
-            each[name] = imaging
-            warn_of_unit_slips(pixel, f"pixel {name}: ")
-            warn_of_light(imaging.physics, camera, light)
-        own = exposure, correction, develop, display, camera, camera.lens_options
-        names = tuple(one.name for one in judging.metrics)
-        given = [
-            Configuration(imaging.physics, imaging.pixel, *own, metrics=names, metric=judging.options, light=light, motion=motion)
-            for imaging in each.values()
-        ]
-        warn_of_unused_settings({"": given})
-        border_um = max(borders_um)
-        seen = [SeenPicture(light, camera, imaging.physics, border_um) for imaging in each.values()]
-        display = with_white(display, white_header(seen, display))
-        channels = max(len(imaging.physics.channels) for imaging in each.values())
-        scenes = SceneCache(light.identified, camera, display, channels, judging=judging, without=without, develop=develop)
-        series = []
-        for name, imaging in each.items():
-            shown = replace(imaging, display=display, border_um=border_um)
-            technology = imaging.physics.technology.name
-            series.append(
-                Series(technology, shown, scenes, ("evaluate", seed), False, {PIXEL: str(name)}, f"pixel {name}", stored=False)
+                check_pixel(imaging, light, has_background=without is not None)
+            for note in unit_slips(imaging.pixel):
+                warn(f"pixel {name}: {note}")
+            for note in light_notes(imaging.physics, camera, light):
+                warn(note)
+        warn_of_unused_settings({"": [Configuration.of_imaging(imaging, light) for imaging in asked.values()]})
+
+        # All are scored on the dots that the largest pixels leave, with one white.
+        border_um = max(imaging.scored_border_um for imaging in asked.values())
+        scored = {name: imaging.changed(border_um=border_um) for name, imaging in asked.items()}
+        white = white_header([(imaging, light) for imaging in scored.values()])
+        scored = {name: imaging.changed(display=with_white(imaging.display, white)) for name, imaging in scored.items()}
+        first, *_ = scored.values()
+        channels = max(len(imaging.physics.channels) for imaging in scored.values())
+        scenes = SceneCache(first, SceneLight(light.identified, without), channels)
+        series = [
+            Series(
+                imaging.physics.technology.name,
+                imaging,
+                scenes,
+                ("evaluate", seed),
+                False,
+                {PIXEL: str(name)},
+                f"pixel {name}",
+                stored=False,
             )
+            for name, imaging in scored.items()
+        ]
         check_ideals(series)
         found = rows_of(series, repeats, None, None if jobs is None else workers_here(jobs), tell=warn)
-        facts = {one.light_id: scenes.ideal_facts(one.light_key, one.imaging.physics, border_um) for one in series}
+        facts = {one.light_id: scenes.ideal_facts(one.light_key, one.imaging) for one in series}
         for one, of_pixel in zip(series, found, strict=True):
             for cause in causes_of_rows(light, one.imaging, facts[one.light_id].lightness, of_pixel):
                 if cause.leaves_nothing:
                     warn(f"{one.words}: {cause}")
-        warn_of_clipping(max(each.beyond_white for each in facts.values()), light.header, display)
-    every = {name: np.array([float(row[name]) for rows in found for row in rows]) for name in columns_of_metrics(judging.metrics)}
-    numbers = *PIXEL_STATISTICS, *columns_with_numbers(judging.metrics, every)
+        warn_of_clipping(max(each.beyond_white for each in facts.values()), light.header, first.display)
+    every = {name: np.array([float(row[name]) for rows in found for row in rows]) for name in columns_of_metrics(request.chosen)}
+    numbers = *PIXEL_STATISTICS, *columns_with_numbers(request.chosen, every)
     rows = [
         {PIXEL: name, "technology": row["technology"], "pitch_um": float(row["pitch_um"]), "repeat": int(row["repeat"])}
         | {column: float(row[column]) for column in numbers}
-        for name, of_pixel in zip(each, found, strict=True)
+        for name, of_pixel in zip(asked, found, strict=True)
         for row in of_pixel
     ]
-    return SensorTable(tuple(rows), judging.metrics)
+    return SensorTable(tuple(rows), request.chosen)
+
+
+def check_pixel(imaging: Imaging, light: SpectralImage, *, has_background: bool) -> None:
+    """Raise PixsimError for a pixel that a metric, its development or the dots of the display do not allow.
+
+    has_background : whether there is light of the scene without its target
+    """
+    imaging.metrics.check(MetricContext(imaging.pixel.colour is not None, has_background))
+    check_develop(imaging.develop, imaging.pixel)
+    read = imaging.physics.as_read
+    dot_edges_um(
+        picture_size_um(light),
+        read.read_pitch_um,
+        imaging.display,
+        imaging.scored_border_um,
+        array_size_um(light, imaging.camera),
+        read.registration,
+    )

@@ -10,14 +10,13 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.light.spectral import SpectralImage
-from pixsim.optics.camera import Camera
 from pixsim.optics.stack import aperture_side_um
 from pixsim.sensor.integration import M2_PER_UM2, collecting_area_um2, electrons_per_joule, illumination_of
 from pixsim.sensor.motion import velocity_um_per_s
 from pixsim.sensor.noise import signal_at_snr_e, variance_e2
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.studies.extent import csf_range_lp_per_mm
-from pixsim.viewer.display_options import Display
+from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.mtf import mtf_terms, of_sensor
 
 if TYPE_CHECKING:
@@ -42,8 +41,9 @@ def study_mtf_terms(
     result: StudyResult, physics: PixelPhysics, frequency_cy_per_mm: Array, path_um: float = 0.0
 ) -> dict[str, Array]:
     """Return `mtf_terms` with a study's light, camera and display."""
-    of_study = result.irradiance, result.camera, physics, result.study.display
-    return mtf_terms(*of_study, frequency_cy_per_mm, path_um=path_um)
+    study = result.study
+    imaging = Imaging(result.camera, physics.pixel, physics.technology, study.exposure, study.display)
+    return mtf_terms(imaging, result.irradiance, frequency_cy_per_mm, path_um=path_um)
 
 
 def system_mtf(result: StudyResult, physics: PixelPhysics, frequency_cy_per_mm: Array, path_um: float = 0.0) -> Array:
@@ -85,11 +85,11 @@ def detail_frequency_lp_per_mm(irradiance: SpectralImage, pitch_um: float) -> tu
 
 
 def detail_terms(
-    irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display, path_um: float = 0.0
+    imaging: Imaging, irradiance: SpectralImage, path_um: float = 0.0
 ) -> tuple[float, str, dict[str, float], dict[str, float]]:
     """Return the frequency and its name, and the MTF there of each term, to the sensor and of the display."""
-    frequency, name = detail_frequency_lp_per_mm(irradiance, physics.pitch_um)
-    at = mtf_terms(irradiance, camera, physics, display, np.array(frequency), path_um=path_um)
+    frequency, name = detail_frequency_lp_per_mm(irradiance, imaging.pixel.pitch_um)
+    at = mtf_terms(imaging, irradiance, np.array(frequency), path_um=path_um)
     terms = {term: float(mtf) for term, mtf in at.items()}
     sensor = of_sensor(terms)
     return frequency, name, sensor, {term: mtf for term, mtf in terms.items() if term not in sensor}

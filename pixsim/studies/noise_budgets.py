@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pixsim.studies.result import StudyResult
+from pixsim.viewer.chain import make_chain
 from pixsim.viewer.noise_budget import NoiseBudget, noise_budget
 
 
@@ -20,11 +21,8 @@ def noise_budgets(result: StudyResult) -> dict[str, NoiseBudget]:
         for curve in case.curves:
             pitch_um = float(curve.pitch_um[int(np.nanargmin(curve.mean()))])
             series = case.series[curve.technology]
-            imaging = series.imaging.at(pitch_um)
-            physics = imaging.registered(0)
-            light = imaging.prepared(series.light(), physics)
-            key = *series.stream_at(pitch_um), 0
-            budget = noise_budget(case.irradiance, case.camera, physics, light, imaging.chain(light, physics), *key)
+            chain = make_chain(series.imaging.at(pitch_um).registered(0), series.light())
+            budget = noise_budget(chain, case.irradiance, *series.stream_at(pitch_um), 0)
             budgets[f"{curve.label}, {pitch_um:.3g} µm"] = budget
         case.scenes.clear()
     return budgets

@@ -38,7 +38,7 @@ from pixsim.studies.uncertainty import (
 )
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.metrics import DELTA_E, Metric
-from pixsim.viewer.score import SceneCache
+from pixsim.viewer.scene_light import SceneCache
 from pixsim.viewer.setting import Run
 
 
@@ -86,16 +86,15 @@ class Types:
             numbers = {each.quantity: draw[each.name] for each in of_sheet}
             process = {each.quantity: draw[each.name] for each in of_process}
             drawn = Pixel(**pixel.model_dump() | numbers) if numbers else pixel
-            yield replace(imaging, pixel=drawn, process=technology.with_numbers(process, name) if process else imaging.process)
+            yield replace(
+                imaging, pixel=drawn, technology=technology.with_numbers(process, name) if process else imaging.technology
+            )
 
 
 def series_of_types(base: Series, types: Types) -> list[Series]:
     """Return the series of each type of a sensor, in the same light, on the first display of the sensor's own series."""
     imaging = base.imaging
-    of_light = base.scenes.irradiance, imaging.camera, imaging.display, len(imaging.physics.channels)
-    scenes = SceneCache(
-        *of_light, single=imaging.single, judging=imaging.judging, without=base.scenes.without, develop=imaging.develop
-    )
+    scenes = SceneCache(imaging, base.scenes.light, len(imaging.physics.channels))
     return [
         replace(base, imaging=of_type, scenes=scenes, columns={**base.columns, "draw": str(draw)})
         for draw, of_type in enumerate(types.imagings(base.name, imaging))

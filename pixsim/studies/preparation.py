@@ -35,20 +35,21 @@ from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.pixel_options import PixelOptions
 from pixsim.sensor.spread import Uncertainty
 from pixsim.sensor.technology import check_name
-from pixsim.sensor.unit_slips import warn_of_unit_slips
+from pixsim.sensor.unit_slips import unit_slips
 from pixsim.studies.cases import BASE, Case, Job, cases_of, named, with_range_ends
 from pixsim.studies.pitch_range import PitchRange
 from pixsim.studies.pixels import physics_of, pixel_of, technology_of
 from pixsim.studies.sampling import BYTES_PER_PIXEL, border_on_um, first_sampling, largest_lens_um, study_pitches_um
-from pixsim.studies.series import judging_of
+from pixsim.studies.series import metrics_of
 from pixsim.studies.study_settings import Study
 from pixsim.studies.unused import StudyConfiguration
 from pixsim.studies.varied import paths_of
 from pixsim.viewer.display import dot_edges_um
 from pixsim.viewer.display_options import Display
+from pixsim.viewer.metric_options import has_target
 from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, MetricContext, columns_of_metrics
-from pixsim.viewer.raw_metrics import has_target
-from pixsim.viewer.score import check_without, warn_of_unused_light
+from pixsim.viewer.review import background_notes
+from pixsim.viewer.scene_light import check_background
 from pixsim.viewer.setting import Run, Setting
 from pixsim.viewer.unused import warn_of_unused_settings
 
@@ -283,7 +284,8 @@ def check_pitches(study: Study) -> None:
             for pitch_um in pitches_um:  # the message is that of the first impossible one
                 physics_of(study, technology, pitch_um, process)
             raise
-        warn_of_unit_slips(smallest)
+        for note in unit_slips(smallest):
+            warn(note)
     first = sum(sum(sensors.values()) for sensors in first_sampling(study).values())
     if study.max_evaluations is not None and study.max_evaluations < first:
         expected = f"at least {first}, with which the study starts"
@@ -398,7 +400,7 @@ def prepare(
     def source_for(study: Study) -> tuple[Scene | SpectralImage, Camera]:
         return scene_for(study, variant, scenes) if light is None else (light, camera_of_light(light, study.camera, study.lens))
 
-    columns = *OF_PIXEL, *columns_of_metrics((DELTA_E, *judging_of(study).metrics)), KEY
+    columns = *OF_PIXEL, *columns_of_metrics((DELTA_E, *metrics_of(study).chosen)), KEY
     if taken := [axis.name for axis in study.axis if axis.name in columns]:
         raise invalid("axis", f"name = '{taken[0]}', a column of every study", "another name")
     # Display and chart are those of the study itself, so that all of its cases are comparable.
@@ -480,16 +482,17 @@ def check_metrics(
 
     Raises PixsimError for a metric that is unknown, or that means nothing for one of the pixels, or for the source.
     """
-    judging, stated, name = judging_of(settings), settings.metric.detectability.without, setting("metric.detectability.without")
+    request, stated, name = metrics_of(settings), settings.metric.detectability.without, setting("metric.detectability.without")
     if isinstance(source, SpectralImage):
         if without is None and has_target(settings.metrics) and isinstance(stated, str) and is_picture(stated):
             with named(name):
                 without, _ = read_with_camera(stated, settings.camera, units, settings.lens)
         elif without is not None and "without" in settings.metric.detectability.model_fields_set:
             warn(f"{name} is not used: the light without the target is given beside the light")
-        warn_of_unused_light(judging, without)
+        for note in background_notes(request.names, without):
+            warn(note)
         if without is not None:
-            check_without(without, source)
+            check_background(without, source)
         has_without = without is not None
         known = settings.camera.object_distance_m, settings.metric.niirs.ground_distance_m, source.header.get("camera")
         has_distance = any(each is not None for each in known)
@@ -501,7 +504,7 @@ def check_metrics(
                 scene_path(stated)
         has_without, has_distance = isinstance(stated, str) or stated.keys() <= source.names, True
     for pixel in pixels:
-        judging.check(MetricContext(pixel.colour is not None, has_without, has_distance=has_distance))
+        request.check(MetricContext(pixel.colour is not None, has_without, has_distance=has_distance))
     return None if without is None else without.identified
 
 

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from itertools import cycle
 
 from pixsim.base.arrays import Array
-from pixsim.sensor.readout import integration_time_s
 from pixsim.show.figures import LOOKS, new_figure, own_style
 from pixsim.show.pages import Column, Plate
 from pixsim.studies.result import StudyResult
 from pixsim.studies.run import RunResult
+from pixsim.viewer.chain import ExpectedFrame, make_chain
 from pixsim.viewer.raw_metrics import INFORMATION, neq_along
-from pixsim.viewer.score import ImagingChain
 
 NEQ = "neq"  # name of the figure
 
@@ -32,16 +31,16 @@ class Quanta:
     neq_per_mm2: Array
 
     @classmethod
-    def of(cls, chain: ImagingChain, time_s: float) -> Quanta:
-        """Return that of the frames of a chain."""
-        return cls(chain.physics.pitch_um, *neq_along(chain, time_s))
+    def of(cls, frame: ExpectedFrame) -> Quanta:
+        """Return that of such frames."""
+        return cls(frame.physics.pitch_um, *neq_along(frame))
 
 
 def quanta_of_run(result: RunResult) -> dict[str, Quanta]:
     """Return the NEQ of a run's sensor by its name; nothing without the metric information."""
     if INFORMATION.name not in result.settings.metrics:
         return {}
-    return {result.settings.pixel.technology: Quanta.of(result.chain, result.score.frame.integration_s)}
+    return {result.settings.pixel.technology: Quanta.of(result.chain.expected(result.score.frame.integration_s))}
 
 
 def quanta_of_study(result: StudyResult) -> dict[str, Quanta]:
@@ -50,10 +49,8 @@ def quanta_of_study(result: StudyResult) -> dict[str, Quanta]:
     for curve in result.curves if INFORMATION.name in result.study.metrics else ():
         series = result.series[curve.technology]
         best = curve.optima.get(INFORMATION.name, curve.optimum)
-        imaging = series.imaging.at(best.pitch_um)
-        chain = imaging.chain(series.light(), imaging.registered(0))
-        time_s = integration_time_s(chain.exposure, chain.physics, float(chain.signal_e_per_s.max()))
-        found[curve.label] = Quanta.of(chain, time_s)
+        chain = make_chain(series.imaging.at(best.pitch_um).registered(0), series.light())
+        found[curve.label] = Quanta.of(chain.expected(chain.integration_s))
     return found
 
 

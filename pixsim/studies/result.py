@@ -39,17 +39,20 @@ from pixsim.studies.optimum import NO_VISIBLE_DELTA_E, FittedCurve, Optimum, Wid
 from pixsim.studies.pixels import photodiode_widths_um, physics_of, technology_of
 from pixsim.studies.regret import metric_regrets
 from pixsim.studies.rows import Row
-from pixsim.studies.sampling import largest_lens_um
+from pixsim.studies.sampling import imaging_of, largest_lens_um
 from pixsim.studies.sentences import interval_words, optima_table, optimum_words
 from pixsim.studies.series import Series, scenes_of, series_of
 from pixsim.studies.study_settings import Study
-from pixsim.viewer.causes import Cause, causes_of
+from pixsim.viewer.causes import causes_of
+from pixsim.viewer.dark_clip import clip_words, clips_dark, dark_clip
 from pixsim.viewer.develop_options import developed_words
 from pixsim.viewer.display import white_light, white_rate
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
+from pixsim.viewer.light_error import NOTHING_KNOWN, Cause, LightError
 from pixsim.viewer.metrics import DELTA_E, Metric, columns_of_metrics, columns_with_numbers
-from pixsim.viewer.score import FrameScore, SceneCache, clip_words, clips_dark, dark_clip, shown
+from pixsim.viewer.scene_light import SceneCache
+from pixsim.viewer.score import FrameScore
+from pixsim.viewer.screen import display_image
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -442,13 +445,14 @@ class StudyResult:
 
     @checks_arguments
     def dark(self, curve: Curve) -> dict[str, list[float]]:
-        """Return `pixsim.viewer.score.dark_clip` for the pitches of a curve, a list for each of its numbers."""
+        """Return `pixsim.viewer.dark_clip.dark_clip` for the pitches of a curve, a list for each of its numbers."""
         exposures = tuple(zip(curve.pitch_um.tolist(), curve.mean("integration_s").tolist(), strict=True))
         if (curve.technology, exposures) not in self._dark:  # a report asks more than once
             clips = []
             for pitch_um, time_s in exposures:
+                imaging = imaging_of(self.study, self.camera, curve.technology, pitch_um)
                 physics = self.physics(curve.technology, pitch_um)
-                rate = white_rate(self.irradiance, self.camera, physics, self.study.display)
+                rate = white_rate(imaging, self.irradiance)
                 area_um2 = collecting_area_um2(self.irradiance, self.camera, physics)
                 clips.append(dark_clip(physics, time_s, rate * area_um2 * time_s))
             self._dark[curve.technology, exposures] = {name: [clip[name] for clip in clips] for name in clips[0]}
@@ -486,7 +490,7 @@ class StudyResult:
         scores: list[FrameScore] = []
         for block, own in blocks_of(series, count):
             frames = frames_of(task_of(series, series.imaging.at(pitch_um), block, {}), light, own, shown=shown)
-            scores += [chain.score_frame(frame) for _, chain, frame, _ in frames]
+            scores += [chain.development.score(frame) for _, chain, frame, _ in frames]
         # Figures sum over the maps, for which float32 has too few digits.
         return [replace(score, delta_e=score.delta_e.astype(float)) for score in scores]
 
@@ -501,7 +505,7 @@ class StudyResult:
         """
         series = self.series[technology]
         _, chain, frame, _ = next(frames_of(task_of(series, series.imaging.at(pitch_um), 0, {}), series.light(), [0], shown=True))
-        return shown(chain.light(frame, part), self.study.display)
+        return display_image(chain.development.light(frame, part), self.study.display)
 
     @checks_arguments
     def sensors_at(self, technology: str, pitch_um: Pitch) -> int:
@@ -646,12 +650,16 @@ def causes_of_rows(
     lightness : the ideal image's, lowest and highest
     rows : of the frames
     """
-    physics = imaging.physics
-    read = physics.as_read.at_exposure(imaging.exposure)
     time_s, saturated = (float(np.mean([float(row[name]) for row in rows])) for name in ("integration_s", "saturated_fraction"))
-    area_um2 = collecting_area_um2(image, imaging.camera, physics) * read.bin_side**2
-    white_e = white_rate(image, imaging.camera, physics, imaging.display) * area_um2 * time_s
-    return causes_of(image.header, imaging.display, read, white_e, time_s, lightness, saturated, imaging.exposure)
+    area_um2 = collecting_area_um2(image, imaging.camera, imaging.physics) * imaging.readout.bin_side**2
+    return causes_of(
+        imaging,
+        image.header,
+        white_e=white_rate(imaging, image) * area_um2 * time_s,
+        integration_s=time_s,
+        lightness=lightness,
+        saturated_fraction=saturated,
+    )
 
 
 def over_sensors(statistic: Callable[..., Array], values: Array) -> Array:

@@ -38,31 +38,23 @@ from pixsim.studies.lights import Demand, Light, demand_of, rendered_light
 from pixsim.studies.paired import mean_interval, spread_interval
 from pixsim.studies.preparation import check_metrics, choose_view, is_picture, loaded_scene, scene_with_view, with_view
 from pixsim.studies.sentences import run_answers
-from pixsim.studies.series import judging_of
+from pixsim.studies.series import metrics_of
 from pixsim.studies.settings_text import scene_table
 from pixsim.studies.threshold import Threshold, start_of, threshold_of
-from pixsim.viewer.causes import Cause, causes_of, lightness_range
+from pixsim.viewer.causes import causes_of, lightness_range
+from pixsim.viewer.chain import ImagingChain, make_chain
+from pixsim.viewer.dark_clip import clip_words, clips_dark, dark_clip
 from pixsim.viewer.develop_options import of_python
 from pixsim.viewer.display import dot_edges_um, white_light, white_rate
+from pixsim.viewer.evaluate import evaluate_frame, reviewed_chain
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.light_error import LightError
+from pixsim.viewer.light_error import Cause, LightError
 from pixsim.viewer.metric_registry import metrics_named, names_of
 from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.noise_budget import NoiseBudget, noise_budget
-from pixsim.viewer.score import (
-    FrameScore,
-    ImagingChain,
-    PreparedScene,
-    Score,
-    SeenPicture,
-    clip_words,
-    clips_dark,
-    dark_clip,
-    judged_score,
-    make_imaging_chain,
-    scored_border_um,
-    white_header,
-)
+from pixsim.viewer.scene_light import PreparedScene, SceneLight, prepare_scene
+from pixsim.viewer.score import FrameScore, Score
+from pixsim.viewer.screen import white_header
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
 from pixsim.viewer.unused import Configuration, warn_of_unused_settings
@@ -179,9 +171,7 @@ def prepare(
     of_sheet = settings.pixel.technology == NO_TECHNOLOGY
     view = choose_view(pitch_um, camera, settings.display, scene) if of_sheet else {}
     check_pixel_count(pixels_on(camera.die_um, pitch_um), pitch_um)
-    physics = derive(settings.pixel)
-    border_um = scored_border_um(physics, settings.motion, settings.exposure, camera) or physics.as_read.border_um
-    dot_edges_um(camera.die_um, pitch_um, settings.display, border_um)
+    dot_edges_um(camera.die_um, pitch_um, settings.display, Imaging.of(settings, camera).scored_border_um)
     complete = with_view(settings, view).model_copy(update={"camera": whole.options})
     seen = known if scene is None else scene_with_view(scene, view)
     case = Case(complete, found=(seen, camera), without=without)
@@ -296,21 +286,26 @@ class RunResult(LitRun):
         """Mean electrons of the scene's white on axis in the first frame, of a pixel without a stack."""
         physics = self.score.physics
         area_um2 = collecting_area_um2(self.irradiance, self.camera, physics)
-        rate = white_rate(self.irradiance, self.camera, physics, self.settings.display)
+        rate = white_rate(self.chain.imaging.changed(display=self.settings.display), self.irradiance)
         return rate * area_um2 * physics.bin_side**2 * self.score.frame.integration_s
 
     @cached_property
     def dark(self) -> dict[str, float]:
-        """Effect of clipping dark pixels at 0 DN, as `pixsim.viewer.score.dark_clip`."""
+        """Effect of clipping dark pixels at 0 DN, as `pixsim.viewer.dark_clip.dark_clip`."""
         return dark_clip(self.score.physics, self.score.frame.integration_s, self.white_e)
 
     @cached_property
     def causes(self) -> tuple[Cause, ...]:
         """Causes of the mean ΔE beside the sensor's noise and blur, the largest first."""
-        frame, lightness = self.score.frame, lightness_range(self.score.ideal)
-        of_frame = self.white_e, frame.integration_s, lightness, frame.saturated_fraction
-        exposure = self.settings.exposure
-        return causes_of(self.irradiance.header, self.score.display, self.score.physics, *of_frame, exposure)
+        frame = self.score.frame
+        return causes_of(
+            self.chain.imaging,
+            self.irradiance.header,
+            white_e=self.white_e,
+            integration_s=frame.integration_s,
+            lightness=lightness_range(self.score.ideal),
+            saturated_fraction=frame.saturated_fraction,
+        )
 
     @property
     def film(self) -> dict[str, Any] | None:
@@ -327,9 +322,7 @@ class RunResult(LitRun):
         """Electrons and ΔE of the first sensor's frame by cause; None where nobody asks."""
         if not self.settings.noise_budget:
             return None
-        imaging = Imaging.of(self.settings, self.camera)
-        of_pixel = imaging.physics, imaging.light(self.irradiance), self.chain
-        return noise_budget(self.irradiance, self.camera, *of_pixel, "evaluate", self.settings.seed)
+        return noise_budget(self.chain, self.irradiance, "evaluate", self.settings.seed)
 
     @property
     def shown_mean(self) -> str:
@@ -347,7 +340,7 @@ class RunResult(LitRun):
     @property
     def colour(self) -> dict[str, Any] | None:
         """Channels, matrix and noise gains of a colour sensor, as in score.json; None for a monochrome one."""
-        return None if self.chain.rendition is None else self.chain.colour_facts(self.score.frame.integration_s)
+        return None if self.chain.rendition is None else self.chain.development.colour_facts(self.score.frame.integration_s)
 
     @property
     def dark_notes(self) -> list[str]:
@@ -395,7 +388,7 @@ class RunResult(LitRun):
         elif settings.develop.words:
             more |= {"develop": settings.develop.model_dump()}
         if settings.develop.sharpens:
-            more["sharpening_noise_gain"] = self.chain.sharpening_noise_gain
+            more["sharpening_noise_gain"] = self.chain.development.sharpening_noise_gain
         more |= {"frames": prepared.frames} if prepared.frames > 1 else {}
         more |= {"noise_budget": self.noise_budget.as_dict()} if self.noise_budget else {}
         return {
@@ -509,46 +502,39 @@ def light_run(prepared: RunJob, stage: Stage) -> LitRun:
         if image is None:
             rendered, plan = rendered_light(prepared.demand, stage("render"))
             image = rendered.image
-        settings, physics = prepared.settings, derive(prepared.settings.pixel)
-        border_um = scored_border_um(physics, settings.motion, settings.exposure, prepared.camera)
-        seen = SeenPicture(image, prepared.camera, physics, border_um)
-        image.header |= white_header([seen], prepared.settings.display)
+        image.header |= white_header([(Imaging.of(prepared.settings, prepared.camera), image)])
     return LitRun(prepared, image, rendered, plan, tuple(notes))
 
 
-def score_run(lit: LitRun, stage: Stage, prepare: Callable[..., PreparedScene] | None = None) -> RunResult:
+def score_run(lit: LitRun, stage: Stage, prepare: Callable[[Imaging, SceneLight], PreparedScene] = prepare_scene) -> RunResult:
     """Return the result of a run whose light is known.
 
-    prepare : as of `make_imaging_chain`
+    prepare : as `prepare_scene`, which may know what that did before
     """
     prepared, image, settings = lit.prepared, lit.irradiance, lit.prepared.settings
     with collected_notes() as notes:
         scored = stage("sense and score")
-        of_sensor = settings.pixel, settings.exposure, settings.display, prepared.full, settings.correction, settings.develop
-        judging = judging_of(settings)
-        without = prepared.cases[0].without if lit.rendered is None else lit.rendered.without
+        imaging = Imaging.of(settings, prepared.camera).changed(metrics=metrics_of(settings), full=prepared.full, is_run=True)
+        background = prepared.cases[0].without if lit.rendered is None else lit.rendered.without
         with watched(share_of(scored, 0.0, BEFORE_FRAME)):
-            chain = make_imaging_chain(
-                image, prepared.camera, *of_sensor, judging=judging, without=without, motion=settings.motion, prepare=prepare
-            )
+            chain = reviewed_chain(imaging, SceneLight(image, background), prepare=prepare)
         scored(BEFORE_FRAME)
         lacking: dict[str, str] = {}
-        score = judged_score(chain, judging, ("evaluate", settings.seed), lacking)
+        score = evaluate_frame(chain, ("evaluate", settings.seed), lacking)
         statistics, at_first = [score.statistics()], [score.statistics()]
         sensors = prepared.repeats
-        imaging = replace(Imaging.of(settings, prepared.camera), is_run=True)
-        assert chain.made_from is not None
-        light, _ = chain.made_from
-        is_spread = sensors > 1 and imaging.registered(1, light) != imaging.physics
+        imaging, scene = chain.imaging, chain.scene
+        assert scene is not None
+        is_spread = sensors > 1 and imaging.registered(1, scene.array_um) != imaging
 
         for number in range(1, sensors):
-            registered = imaging.chain(light, imaging.registered(number, light)) if is_spread else chain
-            statistics.append(judged_score(registered, judging, ("evaluate", settings.seed, number), lacking).statistics())
+            registered = make_chain(imaging.registered(number, scene.array_um), scene) if is_spread else chain
+            statistics.append(evaluate_frame(registered, ("evaluate", settings.seed, number), lacking).statistics())
             scored(BEFORE_FRAME + (1 - BEFORE_FRAME) * number / sensors)
         if is_spread:
             for number in range(1, NOISE_SENSORS):
                 key = "evaluate", settings.seed, "at the first registration", number
-                at_first.append(judged_score(chain, judging, key, lacking).statistics())
+                at_first.append(evaluate_frame(chain, key, lacking).statistics())
         for reason in lacking.values():
             warn(reason)
     warned = tuple(dict.fromkeys([*lit.warned, *notes]))

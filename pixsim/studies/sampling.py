@@ -87,9 +87,17 @@ def imaging_of(study: Study, camera: Camera, technology: str, pitch_um: float) -
 
     camera : of the window
     """
-    own = study.exposure, study.display, study.correction, study.develop
-    of_study = technology_of(study, technology), border_on_um(study, camera)
-    return Imaging(camera, pixel_of(study, technology, pitch_um), *own, *of_study, motion=study.motion)
+    return Imaging(
+        camera,
+        pixel_of(study, technology, pitch_um),
+        technology_of(study, technology),
+        study.exposure,
+        study.display,
+        correction=study.correction,
+        develop=study.develop,
+        motion=study.motion,
+        border_um=border_on_um(study, camera),
+    )
 
 
 def border_on_um(study: Study, camera: Camera) -> float:

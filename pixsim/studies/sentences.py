@@ -28,7 +28,7 @@ from pixsim.viewer.light_error import LightError, noise_and_limit
 from pixsim.viewer.metric_registry import metric_known
 from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.raw_metrics import DETECTABILITY, INFORMATION, contrast_factor
-from pixsim.viewer.score import rounded_up
+from pixsim.viewer.screen import rounded_up
 
 if TYPE_CHECKING:
     from pixsim.studies.result import Curve, StudyResult
@@ -278,7 +278,7 @@ def _threshold_words(result: RunResult, d_prime: float) -> str:
         return f"; {result.threshold.words}"
     options = result.settings.metric.detectability
     threshold = options.threshold
-    factor, reason = contrast_factor(result.chain, result.score.frame.integration_s, d_prime, options)
+    factor, reason = contrast_factor(result.chain.expected(result.score.frame.integration_s), d_prime)
     if not reason:
         return f"; {threshold:g} is reached at {factor:.3g} times this contrast, where contrasts are small"
     is_seen = d_prime >= threshold

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 from pixsim.light.spectral import SpectralImage
@@ -17,9 +17,10 @@ from pixsim.studies.sampling import imaging_of, study_pitches_um
 from pixsim.studies.study_settings import Study
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.judged import Judging
 from pixsim.viewer.metric_registry import metrics_named
-from pixsim.viewer.score import PreparedScene, SceneCache, SharedLight, allows_single
+from pixsim.viewer.metrics import MetricRequest
+from pixsim.viewer.scene_light import PreparedScene, SceneCache, SceneLight, SharedLight
+from pixsim.viewer.screen import allows_single
 from pixsim.viewer.setting import Setting
 
 
@@ -81,7 +82,7 @@ class Series:
 
     def light(self) -> SharedLight:
         """Return the light that all its pitches share, and other series of the same response."""
-        light = self.scenes.get(self.light_key, self.imaging.physics, self.border_um)
+        light = self.scenes.get(self.light_key, self.imaging)
         if isinstance(light, PreparedScene):
             light.store_integrals()
         return light
@@ -105,7 +106,8 @@ def series_of(
     made = []
     for name in study.technologies:
         largest_um = float(study_pitches_um(study, name)[-1])
-        imaging = replace(imaging_of(study, scenes.camera, name, largest_um), single=scenes.single, judging=scenes.judging)
+        shared = {"single": scenes.imaging.single, "metrics": scenes.imaging.metrics}
+        imaging = imaging_of(study, scenes.camera, name, largest_um).changed(**shared)
         # The name of the technology, not its path, which is no part of a result.
         stream = study.stream_name, study.seed, imaging.physics.technology.name
         made.append(Series(name, imaging, scenes, stream, True, columns or {}, words, stored))
@@ -120,22 +122,16 @@ def scenes_of(
     others : displays on which its frames are shown, too
     without : irradiance of the scene without its target
     """
-    return SceneCache(
-        irradiance,
-        camera,
-        study.display,
-        most_channels(study),
-        single=allows_single(study.tolerance_delta_e),
-        others=others,
-        judging=judging_of(study, study.repeats),
-        without=without,
-        develop=study.develop,
+    first = study.technologies[0]
+    imaging = imaging_of(study, camera, first, float(study_pitches_um(study, first)[-1])).changed(
+        single=allows_single(study.tolerance_delta_e), metrics=metrics_of(study, study.repeats)
     )
+    return SceneCache(imaging, SceneLight(irradiance, without), most_channels(study), others)
 
 
-def judging_of(settings: Setting, repeats: int = 1) -> Judging:
-    """Return what settings ask of the judges, of frames that share the registrations of a pixel size."""
-    return Judging(metrics_named(settings.metrics), settings.metric, repeats)
+def metrics_of(settings: Setting, repeats: int = 1) -> MetricRequest:
+    """Return which metrics judge frames, so many of which share the registrations of a pixel size."""
+    return MetricRequest(metrics_named(settings.metrics), settings.metric, repeats)
 
 
 def most_channels(study: Study) -> int:

@@ -36,12 +36,14 @@ from pixsim.studies.result import CasesResult, Curve, StudyResult, causes_of_cur
 from pixsim.studies.results_file import ResultsFile
 from pixsim.studies.rows import NO_ROWS
 from pixsim.studies.sampling import Sampling, Sizes, first_sampling, study_pitches_um
-from pixsim.studies.series import Series, judging_of, most_channels, scenes_of, series_of
+from pixsim.studies.series import Series, metrics_of, most_channels, scenes_of, series_of
 from pixsim.studies.settings_text import scene_table, settings_text
 from pixsim.studies.study_file import load_study, spreads_of_study, uncertainty_of
 from pixsim.studies.study_settings import Study
 from pixsim.viewer.metric_registry import names_of
-from pixsim.viewer.score import SceneCache, Score, warn_of_clipping
+from pixsim.viewer.scene_light import SceneCache
+from pixsim.viewer.score import Score
+from pixsim.viewer.screen import warn_of_clipping
 
 if TYPE_CHECKING:
     from pixsim.studies.sensor_types import Asked
@@ -139,9 +141,9 @@ def evaluate_cases(
         irradiance, camera = light.image, light.camera
         # The header states everything that a render depends on, so that cases of other pixels may have equal ones.
         of_light = [irradiance.header, irradiance.shape, irradiance.pitch_um, camera.model_dump()]
-        judging = judging_of(case.settings, case.settings.repeats)
+        metrics = metrics_of(case.settings, case.settings.repeats)
         of_light.append(None if light.without is None else light.without.header)
-        key = content_hash([*of_light, case.settings.display.content_hash, judging.content, case.settings.develop.tone])
+        key = content_hash([*of_light, case.settings.display.content_hash, metrics.content, case.settings.develop.tone])
         scenes = caches.setdefault(key, scenes_of(case.settings, irradiance, camera, without=light.without))
         scenes.channels = max(scenes.channels, most_channels(case.settings))
         lit.append(scenes)
@@ -182,7 +184,7 @@ def evaluate_cases(
                             samplings[number] = evaluations.possible(number, samplings[number])
                             if fitted[number] != samplings[number]:
                                 curves[number] = curve_of(
-                                    cases[place].settings, series[number].name, rows[number], series[number].imaging.judging.metrics
+                                    cases[place].settings, series[number].name, rows[number], series[number].imaging.metrics.chosen
                                 )
                             fitted[number] = samplings[number]
                         except TooFewSizesError as error:

@@ -16,13 +16,17 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import without_warnings
 from pixsim.base.progress import Progress
 from pixsim.scene.scene import Scene
+from pixsim.sensor.motion_options import STILL
 from pixsim.studies.cases import Job
 from pixsim.studies.lights import Demand, Light, without_target
 from pixsim.studies.preparation import loaded_scene, scene_with_view
-from pixsim.viewer.judged import Judged, Judging
+from pixsim.viewer.evaluate import reviewed_chain
+from pixsim.viewer.frame_under_test import FrameUnderTest
+from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.metric_registry import metrics_named
+from pixsim.viewer.metrics import MetricRequest
 from pixsim.viewer.raw_metrics import DETECTABILITY
-from pixsim.viewer.score import make_imaging_chain
+from pixsim.viewer.scene_light import SceneLight
 from pixsim.viewer.setting import Run
 
 SOUGHT = "metric.detectability.solve_for"
@@ -115,8 +119,8 @@ def threshold_of(job: Job[Run], demand: Demand, light: Light, d_prime: float, pr
     name, start = options.solve_for, start_of(settings, case.scene)
     assert name is not None
     assert start is not None
-    judging = Judging(metrics_named([DETECTABILITY.name]), settings.metric)
-    of_sensor = settings.pixel, settings.exposure, settings.display, False, settings.correction, settings.develop
+    request = MetricRequest(metrics_named([DETECTABILITY.name]), settings.metric)
+    imaging = Imaging.of(settings, demand.camera).changed(metrics=request, motion=STILL)
     across = light.image.shape[1]
     load = partial(
         loaded_scene,
@@ -134,9 +138,9 @@ def threshold_of(job: Job[Run], demand: Demand, light: Light, d_prime: float, pr
         scene = scene_with_view(load(parameters=settings.scene | {name: start * math.exp(away)}), job.view)
         scene = scene.with_resolution(across)
         image, _ = demand.render(scene, demand.plan_of(scene))
-        without = without_target(replace(demand, scene=scene), across)
-        chain = make_imaging_chain(image, demand.camera, *of_sensor, judging=judging, without=without)
-        found = DETECTABILITY.compute(Judged(chain, chain.capture("threshold", settings.seed), judging))[0]
+        background = without_target(replace(demand, scene=scene), across)
+        chain = reviewed_chain(imaging, SceneLight(image, background))
+        found = DETECTABILITY.compute(FrameUnderTest.of(chain, chain.capture("threshold", settings.seed)))[0]
         if progress:
             progress(min(next(number) / MOST_RENDERS, 1.0))
         return logarithm(found)

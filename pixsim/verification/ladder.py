@@ -30,7 +30,7 @@ from pixsim.verification.extreme_cases import all_cases
 from pixsim.viewer.develop_options import with_functions
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.light_error import LightError
-from pixsim.viewer.score import SeenPicture, white_header
+from pixsim.viewer.screen import white_header
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
 from pixsim.viewer.unused import RULES, Configuration, Rule, fields_of, warn_of_unused_settings
@@ -274,7 +274,7 @@ def _measure(demand: Demand, imaging: Imaging, across: int, noise_times: float, 
     start = time.perf_counter()
     with without_warnings():  # the default render gives them
         image, _ = asked.render(scene, plan, keep=False)
-        image.header |= white_header([SeenPicture(image, imaging.camera, imaging.physics)], imaging.display)
+        image.header |= white_header([(imaging, image)])
         (chain,) = chains_of_film([(image, imaging.display)], [None], imaging)
         if noise is None or noise.shape != chain.signal_e_per_s.shape:
             noise = standard_noise_of(chain, imaging, 0)

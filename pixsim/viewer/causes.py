@@ -8,21 +8,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
-from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.code_moments import moments_of_codes
 from pixsim.sensor.flicker import burst_modulation, clipped_light
 from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.outside import SHOWN_SHARE, outside_hint, outside_share, outside_words
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.viewer.display import setting_of_white
-from pixsim.viewer.display_options import Display
-from pixsim.viewer.raw_metrics import moments_of_codes
+from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.light_error import NOTHING, Cause
 from pixsim.viewer.scielab import xyz_to_lab
 
 FEWEST_CODES = 8.0  # between black and display white; with fewer, the picture is that of the ADC
@@ -31,67 +30,37 @@ ALL = 100.0  # ΔE from black to white
 SATURATED_SHOWN = 0.01  # of the pixels; the tail of shot noise fills fewer
 LINEAR_BELOW = 8.0  # of L*, which is linear in luminance there (CIE 15)
 ROUNDING = 1e-9  # of a number of codes
-NOTHING = "the frame tells nothing"
 LEAST_SNR = 1e-3  # of the lightest dot in a pixel; a million pixels have 1 together
 ALL_FULL = 1.0 - 1e-6  # of the pixels
 NO_NOISE_DN = 1e-9  # σ used in place of 0
-STEADY = Exposure()
-
-
-@dataclass(frozen=True)
-class Cause:
-    """A cause of a mean ΔE.
-
-    words : for the headline
-    delta_e : how much of ΔE it can make, which decides on the order of causes
-    hint : what removes it
-    """
-
-    words: str
-    delta_e: float
-    hint: str
-
-    def __str__(self) -> str:
-        return f"{self.words}: {self.hint}"
-
-    @property
-    def leaves_nothing(self) -> bool:
-        """Whether the frame tells nothing of the light."""
-        return self.words.startswith(NOTHING)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the cause as in score.json."""
-        return asdict(self)
 
 
 def causes_of(
+    imaging: Imaging,
     header: Mapping[str, Any],
-    display: Display,
-    physics: PixelPhysics,
+    *,
     white_e: float,
     integration_s: float,
     lightness: tuple[float, float],
     saturated_fraction: float = 0.0,
-    exposure: Exposure = STEADY,
 ) -> tuple[Cause, ...]:
     """Return the causes of a score, the largest first.
 
     header : of the irradiance
-    display : that shows the picture
-    physics : of what is read
     white_e : mean electrons of the scene's white on axis, in this time
-    lightness : of the ideal image, as of `lightness_range`
+    lightness : L* of the darkest and the lightest dot of the ideal image (`lightness_range`)
     saturated_fraction : of the pixels of a frame
-    exposure : of the frame, whose light may flicker
     """
+    physics = imaging.readout
     of_frame = white_e, integration_s, lightness[1]
-    modulation = burst_modulation(exposure, integration_s)
+    modulation = burst_modulation(imaging.exposure, integration_s)
     full = _full(_range_e(physics, integration_s), white_e, lightness[1], saturated_fraction, modulation)
     of_sensor = _codes(physics, *of_frame) or full
     if tells_nothing(physics, *of_frame, saturated_fraction):
         of_sensor = _nothing(of_sensor, saturated_fraction)
-    found = [_contrast(*lightness, setting_of_white(header, display)), of_sensor, _light(outside_share(header, physics))]
-    return tuple(sorted(filter(None, found), key=lambda cause: -cause.delta_e))
+    contrast = _contrast(*lightness, setting_of_white(header, imaging.display))
+    causes = [contrast, of_sensor, _light(outside_share(header, physics))]
+    return tuple(sorted(filter(None, causes), key=lambda cause: -cause.delta_e))
 
 
 def lightness_range(ideal: Array) -> tuple[float, float]:

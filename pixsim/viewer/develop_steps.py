@@ -26,7 +26,7 @@ from pixsim.base.errors import invalid
 from pixsim.sensor.colour import Layout, of_channels
 from pixsim.sensor.colour_options import binned_cell
 from pixsim.sensor.correction import flat_light_e, residual_variance_e2
-from pixsim.sensor.correction_options import NO_CORRECTION, Correction
+from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.noise import constant_e, variance_e2
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.readout import Frame, frame_variance_dn2
@@ -45,7 +45,7 @@ from pixsim.viewer.denoising.filters import denoised_plane
 from pixsim.viewer.develop import balance, demosaic_method
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display import fits_single, relative_to_white
-from pixsim.viewer.display_options import Display
+from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.sharpening import unsharp_mask, unsharp_products
 from pixsim.viewer.tone import toned
 
@@ -57,8 +57,9 @@ MAX_LAGS = 256  # pixels of a plane between which a covariance is known
 class Developing:
     """A frame to be developed, and what the steps know of it.
 
-    white_e : (C,) mean electrons of the scene's white on axis, in this frame's exposure, for each channel; (1,) without filters
+    imaging : settings of the frame, with the display that shows it
     physics : of what is read
+    white_e : (C,) mean electrons of the scene's white on axis, in this frame's exposure, for each channel; (1,) without filters
     shading : by which each value of the frame is divided; None for none
     single : compute in float32 from white balance on, except by menon2007, if `fits_single`
     expected_e : mean photo-electrons of each value of the frame, for 'wiener_bound'
@@ -68,17 +69,20 @@ class Developing:
     """
 
     frame: Frame
-    develop: Develop
-    display: Display
-    white_e: Array
+    imaging: Imaging
     physics: PixelPhysics
-    correction: Correction = NO_CORRECTION
+    white_e: Array
     shading: Array | None = field(default=None, repr=False)
     single: bool = False
     expected_e: Array | None = field(default=None, repr=False)
     sharpen_px: float = 1.0
     matrix: Array | None = field(default=None, repr=False)
     full: NDArray[np.bool_] | None = field(default=None, repr=False)
+
+    @property
+    def develop(self) -> Develop:
+        """Settings of the steps."""
+        return self.imaging.develop
 
     @property
     def layout(self) -> Layout | None:
@@ -247,7 +251,7 @@ def wiener_responses(c: Developing) -> list[Array]:
     """Return the factors of the coefficients of each part of a raw frame (`Developing.parts`) that 'wiener_bound' has."""
     assert c.expected_e is not None
     expected_e = np.minimum(c.expected_e, c.physics.saturation_e)
-    variance, column_e2, row_e2 = noise_of_expected_e2(expected_e, c.physics, c.frame.integration_s, c.correction)
+    variance, column_e2, row_e2 = noise_of_expected_e2(expected_e, c.physics, c.frame.integration_s, c.imaging.correction)
     found = []
     for expected, own in zip(c.parts(expected_e), c.parts(variance), strict=True):
         noise = wiener.noise_power(own, column_variance=column_e2, row_variance=row_e2)
@@ -302,7 +306,7 @@ def _denoise(picture: Array, c: Developing) -> Array:
             part[...] = wiener.filtered(part, factors)
         return picture
     assert develop.denoise != "none"
-    variance_e2_of_frame = white_noise_e2(c.physics, frame.integration_s, c.correction)
+    variance_e2_of_frame = white_noise_e2(c.physics, frame.integration_s, c.imaging.correction)
     for part in c.parts(picture):
         filtered = denoised_plane(part + frame.mean_dark_e, variance_e2_of_frame, develop.denoise, develop.denoise_strength)
         part[...] = filtered - frame.mean_dark_e
@@ -426,7 +430,7 @@ STEPS: Mapping[str, Step] = {
             name="tone_curve",
             works_on=SHOWN,
             is_on=lambda c: bool(c.develop.tone),
-            apply=lambda light, c: toned(light, c.develop, c.display),
+            apply=lambda light, c: toned(light, c.develop, c.imaging.display),
             is_linear=lambda develop: not develop.tone,
         ),
     )
@@ -494,4 +498,4 @@ def noise_covariance(c: Developing, levels: Array, dot_um: float | None, works_o
                 raise invalid("the covariance of noise", f"develop.{step.name}, which is not linear", "linear steps")
             noise = step.of_noise(noise, c)
     dot_px = None if dot_um is None else min(max(dot_um / physics.read_pitch_um, 1e-3), 1e3)
-    return noise.covariance(dot_px, c.display.interpolation)
+    return noise.covariance(dot_px, c.imaging.display.interpolation)

@@ -44,6 +44,7 @@ from pixsim.sensor.pixel import CENTRED, PixelPhysics, Registration
 from pixsim.sensor.pixel_options import BORDER_PIXELS
 from pixsim.sensor.readout import Frame
 from pixsim.viewer.display_options import Display
+from pixsim.viewer.imaging import Imaging
 
 # Grey on a D65 display: XYZ is relative luminance times this (CIE 15, 2-degree observer, Y = 100).
 FAINTEST = Bounds(math.ulp(0.0))  # light may be however faint
@@ -148,15 +149,18 @@ def setting_of_white(header: Mapping[str, Any], display: Display) -> str:
 
 
 @checks_arguments
-def white_rate(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display) -> float:
+def white_rate(imaging: Imaging, irradiance: SpectralImage, channel: PixelPhysics | None = None) -> float:
     """Return the photo-electrons s⁻¹ µm⁻² of photodiode that the scene's white gives on axis.
 
     Its spectrum is that of `white_light`.
 
+    channel : whose electrons these are; None: of the pixel, of a colour sensor the mean over its channels
+
     Raises PixsimError if the eye or the sensor does not respond to that spectrum.
     """
     spectrum, _ = white_light(irradiance)
-    electrons = float((electrons_per_joule(physics, irradiance) * spectrum).sum())
+    camera, display = imaging.camera, imaging.display
+    electrons = float((electrons_per_joule(channel or imaging.physics, irradiance) * spectrum).sum())
     lux = float((irradiance.luminous_weight() * spectrum).sum())
     radiance = white_w_per_m2_sr(irradiance, display)
     if radiance is not None:
@@ -365,9 +369,7 @@ def means_on_dots(picture: Picture, pitch_um: Positive, edges_um: tuple[Row, Row
 
 
 @checks_arguments
-def ideal_luminance(
-    irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, display: Display, edges_um: tuple[Row, Row]
-) -> Array:
+def ideal_luminance(imaging: Imaging, irradiance: SpectralImage, edges_um: tuple[Row, Row]) -> Array:
     """Return the relative luminance of each dot for an ideal sensor: no pixels, noise or quantisation, and no diffraction.
 
     A dot shows the mean of the light over its area: the limit of the image as pixels become smaller.
@@ -378,8 +380,8 @@ def ideal_luminance(
 
     Raises PixsimError as `white_rate` does.
     """
-    rate = means_on_dots(ideal_rate(irradiance, physics), irradiance.pitch_um, edges_um)
-    rate /= white_rate(irradiance, camera, physics, display)
+    rate = means_on_dots(ideal_rate(irradiance, imaging.physics), irradiance.pitch_um, edges_um)
+    rate /= white_rate(imaging, irradiance)
     return np.maximum(rate, 0.0, out=rate)
 
 

@@ -7,18 +7,16 @@ whose expected periodogram is a product of two factors, one for each axis. Sharp
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import scipy  # whose parts are imported when they are used
 
 from pixsim.base.arrays import Array
 from pixsim.sensor.integration import first_edge_um
+from pixsim.viewer.development import Development
 from pixsim.viewer.display import SPLINE_DEGREE, average_axis
 from pixsim.viewer.sharpening import gaussian_taps
-
-if TYPE_CHECKING:
-    from pixsim.viewer.score import ImagingChain
 
 
 class RawNoise(NamedTuple):
@@ -48,8 +46,8 @@ class AxisPower(NamedTuple):
     share: Array
 
 
-def expected_noise_power(chain: ImagingChain, noise: RawNoise) -> Array:
-    """Return the expected power of the noise of a chain's picture before its tone curve, (H, W), in relative luminance² deg².
+def expected_noise_power(development: Development, noise: RawNoise) -> Array:
+    """Return the expected power of the noise of a picture before its tone curve, (H, W), in relative luminance² deg².
 
     It is at the frequencies of `np.fft.fftfreq` on the display's dots, as `pixsim.viewer.judges.npwe` takes it. The variance of
     pixels counts by its mean over those that the dots show. Where it differs from place to place, the expected periodogram of the
@@ -57,11 +55,12 @@ def expected_noise_power(chain: ImagingChain, noise: RawNoise) -> Array:
 
     noise : of the frame, behind its corrections
     """
-    down, across = (_axis_power(chain, axis, count) for axis, count in enumerate(noise.pixel.shape))
+    down, across = (_axis_power(development, axis, count) for axis, count in enumerate(noise.pixel.shape))
     # Not by BLAS, whose rounding depends on the number of threads.
     mean = float(np.einsum("y,yx,x->", down.share, noise.pixel, across.share, optimize=False))
-    amount = chain.develop.sharpen_amount
-    weights = np.array([1 + amount, -amount]) if chain.develop.sharpens else np.ones(1)
+    develop = development.imaging.develop
+    amount = develop.sharpen_amount
+    weights = np.array([1 + amount, -amount]) if develop.sharpens else np.ones(1)
 
     def power(of_rows: Array, of_columns: Array) -> Array:
         """Return the real part of the sum over both pictures twice; its imaginary part cancels."""
@@ -74,13 +73,13 @@ def expected_noise_power(chain: ImagingChain, noise: RawNoise) -> Array:
         total += noise.column * power(down.shared, across.independent)
     if noise.row:
         total += noise.row * power(down.independent, across.shared)
-    return np.asarray(total / total.size / chain.screen.display.samples_per_deg**2)
+    return np.asarray(total / total.size / development.screen.display.samples_per_deg**2)
 
 
-def _axis_power(chain: ImagingChain, axis: int, count: int) -> AxisPower:
+def _axis_power(development: Development, axis: int, count: int) -> AxisPower:
     """Return the factor of an axis, 0 along y or 1 along x, of `count` pixels."""
-    screen, physics = chain.screen, chain.physics
-    sigma_px = chain.sharpen_px if chain.develop.sharpens else None
+    screen, physics = development.screen, development.physics
+    sigma_px = development.sharpen_px if development.imaging.develop.sharpens else None
     if screen.display.raster == "one_to_one":
         return _power_of_dots(count, 1.0, 0.0, None, 0, sigma_px)
     low_um = first_edge_um(screen.size_um[axis], count, physics.read_pitch_um, physics.registration[axis])

@@ -11,7 +11,7 @@ from pixsim.sensor.crosstalk import share_with_neighbours
 from pixsim.sensor.integration import Moves, array_on, integrate_pixels
 from pixsim.sensor.motion import STANDING, LightSpectrum, Moving
 from pixsim.sensor.pixel import PixelPhysics
-from pixsim.viewer.score import PreparedScene
+from pixsim.viewer.scene_light import PreparedScene
 
 
 def at_every_pixel(

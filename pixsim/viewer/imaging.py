@@ -1,60 +1,117 @@
-"""What lies between the light on a sensor and a score, as one noun: camera, pixel, exposure, correction, development, display."""
+"""All settings between the light on a sensor and a score, in one record: what every function of `viewer` takes.
+
+The way of one frame, each step in the module of its name:
+
+    Imaging, SceneLight                          settings (imaging), irradiance with or without a target (scene_light)
+      → prepare_scene → PreparedScene            light behind the lens, ideal picture, white (scene_light, screen)
+      → make_chain → ImagingChain                electrons of each pixel; sensors and frames drawn from them (chain)
+      → Development.score → FrameScore           a frame as a picture on a screen, and its ΔE (development, score)
+      → FrameUnderTest → numbers of the metrics  one frame as metrics see it (frame_under_test, raw_metrics, shown_metrics)
+
+`evaluate` goes this way once; studies enter it where the light is shared.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
-from pixsim.light.spectral import SpectralImage
+from pixsim.base.records import content_hash
 from pixsim.optics.camera import Camera
 from pixsim.sensor.correction_options import NO_CORRECTION, Correction
 from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.integration import ChannelLight, pixels_on
-from pixsim.sensor.motion import velocity_um_per_s
+from pixsim.sensor.integration import pixels_on
+from pixsim.sensor.motion import border_with_room_um, velocity_um_per_s
 from pixsim.sensor.motion_options import STILL, Motion
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.sensor.technology import Technology
+from pixsim.sensor.technology import Technology, load_technology
 from pixsim.viewer.develop_options import DEVELOP, Develop
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.judged import DELTA_E_ONLY, Judging
-from pixsim.viewer.score import ImagingChain, PreparedScene, SharedLight, Unprepared, chain_at_pitch, prepare_scene
+from pixsim.viewer.metrics import DELTA_E_ONLY, MetricRequest
 from pixsim.viewer.setting import Run
+
+OF_PHYSICS = "pixel", "technology"
 
 
 @dataclass(frozen=True)
 class Imaging:
-    """The settings of one frame and its score, beside the light and the random numbers.
+    """The settings of a frame and its score, beside the light and the random numbers.
 
-    process : of the pixel's technology; None means that of its file
-    border_um : of all that is scored on the same dots, as for `pixsim.viewer.display.dot_edges_um`; None means this pixel's
-    single : compute dots and S-CIELAB in float32
-    judging : what is asked of the judges
-    is_run : whether its repeats are the sensors of a run: the first one is centred, and its random streams have no number
+    technology : of the pixel, with all its numbers
+    border_um : width on each side of the die that is not scored, of all that is scored on the same dots; None: as wide as this
+        pixel alone needs
+    single : compute dots and S-CIELAB in float32, as a study does for its many evaluations; not with `full`
+    full : use no shortcut for grey images, and leave out nothing of the pixels' stack
+    is_run : whether repeats are the sensors of a run: the first one is centred, and its random streams have no number
     """
 
     camera: Camera
     pixel: Pixel
+    technology: Technology
     exposure: Exposure
     display: Display
     correction: Correction = NO_CORRECTION
     develop: Develop = DEVELOP
-    process: Technology | None = None
+    motion: Motion = STILL
+    metrics: MetricRequest = DELTA_E_ONLY
     border_um: float | None = None
     single: bool = False
-    judging: Judging = DELTA_E_ONLY
+    full: bool = False
     is_run: bool = False
-    motion: Motion = STILL
 
     @classmethod
     def of(cls, run: Run, camera: Camera) -> Imaging:
-        """Return that of the frame of a run."""
-        return cls(camera, run.pixel, run.exposure, run.display, run.correction, run.develop, motion=run.motion)
+        """Return the settings of a run's frames, with the technology that its pixel names."""
+        return cls(
+            camera,
+            run.pixel,
+            load_technology(run.pixel.technology),
+            run.exposure,
+            run.display,
+            correction=run.correction,
+            develop=run.develop,
+            motion=run.motion,
+        )
 
     @cached_property
     def physics(self) -> PixelPhysics:
-        """Physical properties of the pixel, as its exposure reads it."""
-        return derive(self.pixel, self.process).at_exposure(self.exposure)
+        """Physical properties of the pixel."""
+        return derive(self.pixel, self.technology)
+
+    @cached_property
+    def readout(self) -> PixelPhysics:
+        """The pixel as its exposure reads it."""
+        return self.physics.as_read.at_exposure(self.exposure)
+
+    @property
+    def um_per_s(self) -> tuple[float, float]:
+        """Velocity [x, y] of the image on the sensor."""
+        return velocity_um_per_s(self.motion, self.camera, self.pixel.pitch_um)
+
+    @property
+    def scored_border_um(self) -> float:
+        """Width on each side of the die that is not scored: `border_um`, or that of this pixel, with room for what moves."""
+        if self.border_um is not None:
+            return self.border_um
+        read = self.physics.as_read
+        if not self.motion.is_on:
+            return read.border_um
+        return border_with_room_um(read.border_um, self.motion, self.exposure, self.camera, [(read.pitch_um, read.bin_side)])
+
+    @property
+    def pixel_key(self) -> tuple[str, ...]:
+        """What tells the pixels from others in the same light, wherever the array lies."""
+        pixel = self.pixel.model_copy(update={"registration": None})
+        return pixel.content_hash, content_hash(self.physics.technology.content)
+
+    def changed(self, **settings: Any) -> Imaging:
+        """Return the same with other settings; the pixel is not derived again where none of them changes it."""
+        other = replace(self, **settings)
+        if "physics" in self.__dict__ and not settings.keys() & set(OF_PHYSICS):
+            other.__dict__["physics"] = self.physics
+        return other
 
     def at(self, pitch_um: float) -> Imaging:
         """Return the same with pixels of another size."""
@@ -62,64 +119,36 @@ class Imaging:
             return self
         return replace(self, pixel=self.pixel.model_copy(update={"pitch_um": pitch_um}))
 
-    def registered(self, repeat: int, light: SharedLight | None = None) -> PixelPhysics:
-        """Return the pixel of one repeat, with its registration. Where dots are pixels, all arrays are centred.
+    def registered(self, repeat: int, array_um: tuple[float, float] | None = None) -> Imaging:
+        """Return the pixels of one repeat, with its registration. Where dots are pixels, all arrays are centred.
 
         The first repeat of a run is centred: its registration is 0 along an axis with an even number of pixels, and 0.5 with an
         odd one. The further ones are spread from there as those of a study are from 0.
 
-        light : whose array the pixels of a run fill
+        array_um : (height, width) that the pixels of a run fill
         """
-        if self.display.raster == "one_to_one":
-            return self.physics
-        if not self.is_run:
-            return self.physics.registered(repeat)
-        if repeat == 0:
-            return self.physics
+        if self.display.raster == "one_to_one" or (self.is_run and repeat == 0):
+            return self
+        first = 0.0, 0.0
+        if self.is_run:
+            assert array_um is not None
+            rows, columns = pixels_on(array_um, self.physics.as_read.read_pitch_um)
+            first = columns % 2 / 2, rows % 2 / 2
+        return self._with_physics(self.physics.registered(repeat, first=first))
 
-        assert isinstance(light, PreparedScene)
-        rows, columns = pixels_on(light.array_um, self.physics.as_read.read_pitch_um)
-        return self.physics.registered(repeat, first=(columns % 2 / 2, rows % 2 / 2))
+    def spread(self, number: int) -> Imaging:
+        """Return the same pixels at a registration of the spread ones (`PixelPhysics.registered`), whatever theirs is."""
+        centred = replace(self.physics, pixel=self.pixel.model_copy(update={"registration": None}))
+        return self._with_physics(centred.registered(number))
+
+    def _with_physics(self, physics: PixelPhysics) -> Imaging:
+        """Return the same with derived pixels, of which only the place on the die differs."""
+        if physics is self.physics:
+            return self
+        other = replace(self, pixel=physics.pixel)
+        other.__dict__["physics"] = physics
+        return other
 
     def stream_of(self, stream: tuple[object, ...], repeat: int) -> tuple[object, ...]:
         """Return the key of the random streams of one repeat, which begins as those of all."""
         return stream if self.is_run and repeat == 0 else (*stream, repeat)
-
-    def light(
-        self,
-        irradiance: SpectralImage,
-        physics: PixelPhysics | None = None,
-        lights: tuple[ChannelLight, ...] | None = None,
-        without: SpectralImage | None = None,
-    ) -> PreparedScene:
-        """Return the light behind the lens and the screen, as of `prepare_scene`.
-
-        physics : the pixel with its registration; None means as it is
-        lights : behind the lens, where they are known
-        without : irradiance of the scene without its target, if a metric asks for it
-        """
-        own = irradiance, self.camera, physics or self.physics, self.display
-        return prepare_scene(
-            *own,
-            border_um=self.border_um,
-            single=self.single,
-            lights=lights,
-            judging=self.judging,
-            without=without,
-            develop=self.develop,
-        )
-
-    def prepared(self, light: SharedLight, physics: PixelPhysics) -> PreparedScene:
-        """Return light that a series shares, prepared for its pixels."""
-        return self.light(light.irradiance, physics, without=light.without) if isinstance(light, Unprepared) else light
-
-    def chain(self, light: SharedLight, physics: PixelPhysics | None = None) -> ImagingChain:
-        """Return the imaging chain up to the noise.
-
-        light : prepared for the pixel's response, or not yet
-        physics : the pixel with its registration; None means as it is
-        """
-        physics = physics or self.physics
-        prepared = self.prepared(light, physics)
-        um_per_s = velocity_um_per_s(self.motion, self.camera, physics.pitch_um)
-        return chain_at_pitch(prepared, physics, self.exposure, self.correction, self.develop, um_per_s)

@@ -7,13 +7,40 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.notes import told_apart
 from pixsim.show.sentences import with_error
-from pixsim.viewer.causes import Cause
+
+NOTHING = "the frame tells nothing"
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A cause of a mean ΔE.
+
+    words : for the headline
+    delta_e : how much of ΔE it can make, which decides on the order of causes
+    hint : what removes it
+    """
+
+    words: str
+    delta_e: float
+    hint: str
+
+    def __str__(self) -> str:
+        return f"{self.words}: {self.hint}"
+
+    @property
+    def leaves_nothing(self) -> bool:
+        """Whether the frame tells nothing of the light."""
+        return self.words.startswith(NOTHING)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the cause as in score.json."""
+        return asdict(self)
 
 
 def cause_words(causes: Sequence[Cause]) -> str:

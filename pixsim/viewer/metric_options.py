@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -102,3 +103,10 @@ class MetricOptions(Record):
 
 
 METRIC_OPTIONS = MetricOptions()
+
+OF_TARGETS = "detectability", "npwe"  # metrics that ask for the light of the scene without its target
+
+
+def has_target(metrics: Sequence[str]) -> bool:
+    """Return whether some metrics, by their names, ask for the light of the scene without its target."""
+    return any(name in metrics for name in OF_TARGETS)

@@ -5,19 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from importlib import metadata
-from typing import TYPE_CHECKING
 
 from pixsim.base.errors import did_you_mean, invalid, one_line
 from pixsim.base.schema import KEY
 from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, Metric, columns_of_metrics, own_metric
 from pixsim.viewer.raw_metrics import DETECTABILITY, INFORMATION, MTF50, NIIRS, SNR10_LX
+from pixsim.viewer.score import Score
 from pixsim.viewer.shown_metrics import ACUTANCE, FLIP, NPWE, VISUAL_NOISE
 
-if TYPE_CHECKING:
-    from pixsim.viewer.score import Score
-
-    NamedOrOwn = str | Callable[[Score], float]
-
+NamedOrOwn = str | Callable[[Score], float]
 GROUP = "pixsim.metrics"  # of entry points, each of which is a function of a Score
 OF_FRAMES = DETECTABILITY, INFORMATION, MTF50, NIIRS
 OF_PICTURES = ACUTANCE, VISUAL_NOISE, NPWE, FLIP, SNR10_LX

@@ -6,23 +6,20 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from pixsim.base.arrays import Array, strips
+from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.user_code import by_value, code_hash
-
-if TYPE_CHECKING:
-    from pixsim.viewer.judged import Judged
-    from pixsim.viewer.score import Score
+from pixsim.viewer.delta_e_statistics import COLUMNS, delta_e_statistics
+from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
+from pixsim.viewer.score import Score
 
 # Columns of rows beside those of metrics.
 PIXEL_STATISTICS = ("fill_factor", "full_well_e", "integration_s", "saturated_fraction", "mean_electrons_e")
 OF_PIXEL = ("key", "technology", "pitch_um", "repeat", *PIXEL_STATISTICS)
-HISTOGRAM_BINS = 1 << 14
-COUNTED = 1 << 18  # values at a time, many more than bins
 ROUNDING = 1e-5  # relative, of means in single precision
 OF_FRAMES = "the frame of a sensor, of which pixsim.evaluate and pixsim.run know the signal and the noise"
 
@@ -52,7 +49,7 @@ class Metric:
     unseen : what it does not see
     columns : names of its numbers, in results and in this order; the first one is what a study optimises
     bounds : least and largest value that a number may have
-    compute : numbers of a `Judged` frame, or of a `Score` where `needs_frame` is false, as `columns`
+    compute : numbers of a frame under test (`FrameUnderTest`), or of a `Score` where `needs_frame` is false, as `columns`
     lacks : what a configuration would need for the metric to mean something; empty if it has all
     is_possible : whether such numbers, within the bounds, may stand beside each other
     has_optimum : whether a best pixel size may be told from it
@@ -132,14 +129,17 @@ class Metric:
         """Return whether a column's value is the NaN of a variant that means nothing."""
         return column in self.variants and math.isnan(value)
 
-    def values(self, given: Judged | Score) -> dict[str, float]:
-        """Return the numbers of what `compute` takes by their columns. Raises PixsimError if one is outside the bounds."""
-        found = dict(zip(self.columns, map(float, self.compute(given)), strict=True))
+    def values(self, judged: Any) -> dict[str, float]:
+        """Return the numbers by their columns. Raises PixsimError if one is outside the bounds.
+
+        judged : what `compute` takes, a frame under test or a score
+        """
+        numbers = dict(zip(self.columns, map(float, self.compute(judged)), strict=True))
         low, high = self.bounds
-        for name, value in found.items():
+        for name, value in numbers.items():
             if not low <= value <= high and not self.may_lack(name, value):
                 raise invalid(f"the metric {self.name}", f"{name} = {value:g}", f"a number from {low:g} to {high:g}")
-        return found
+        return numbers
 
 
 @dataclass(frozen=True)
@@ -219,37 +219,6 @@ def columns_with_numbers(metrics: Sequence[Metric], values: Mapping[str, Array |
     return tuple(name for name in columns_of_metrics(metrics) if name not in variants or np.isfinite(values[name]).any())
 
 
-def percentiles(values: Array, percent: tuple[float, ...], largest: float | None = None) -> list[float]:
-    """Return `np.percentile` of finite non-negative values, in a third of its time by way of a histogram.
-
-    largest : of the values, if it is known
-    """
-    largest = float(values.max()) if largest is None else largest
-    scale = (HISTOGRAM_BINS - 1) / max(largest, float(np.finfo(values.dtype).tiny) * HISTOGRAM_BINS)
-    values, bins, counts = values.ravel(), np.empty(values.size, np.uint16), np.zeros(HISTOGRAM_BINS, np.intp)
-    for part in strips(values.size, 1, COUNTED):
-        np.multiply(values[part], scale, out=bins[part], casting="unsafe")
-        counts += np.bincount(bins[part], minlength=HISTOGRAM_BINS)
-    up_to = counts.cumsum()
-    at = [percentage / 100 * (values.size - 1) for percentage in percent]
-    ranks = np.array([[int(place), min(int(place) + 1, values.size - 1)] for place in at])  # 0 for the smallest value
-    own = np.searchsorted(up_to, ranks, "right")
-    wanted = np.array(sorted(set(own.ravel().tolist())))
-    chosen = np.zeros(bins.shape, bool)
-    for one in wanted.tolist():  # a number of Python does not widen the bins
-        chosen |= bins == one
-    smallest = np.sort(values[chosen])  # bins increase with the values
-    skipped = up_to[wanted] - counts[wanted].cumsum()  # values in bins that are not wanted, below each one that is
-    found = smallest.astype(float)[ranks - skipped[np.searchsorted(wanted, own)]]
-    return [float(low + place % 1 * (high - low)) for place, (low, high) in zip(at, found, strict=True)]
-
-
-def delta_e_statistics(delta_e: Array) -> tuple[float, ...]:
-    """Return mean, median, 90th and 99th percentile and maximum of a map of ΔE, (H, W)."""
-    largest = float(delta_e.max())
-    return float(delta_e.mean(dtype=float)), *percentiles(delta_e, (50, 90, 99), largest), largest
-
-
 def _rise(values: tuple[float, ...]) -> bool:
     """Return whether percentiles rise to the maximum, and the mean is not above it."""
     mean, *rising = values
@@ -269,9 +238,51 @@ DELTA_E = Metric(
     judges="shown picture",
     source="Zhang and Wandell, SID Journal 5 (1997) 61; Chen et al., Proc. SPIE 3965 (2000) 451",
     unseen="what nobody sees at the display's distance: detail for machine vision, and light outside 360-830 nm",
-    columns=("mean_delta_e", "median_delta_e", "p90_delta_e", "p99_delta_e", "max_delta_e"),
+    columns=COLUMNS,
     bounds=(0.0, 1e3),  # of any two colours: black and white differ by 100, the most saturated ones by 260
     compute=_delta_e,
     needs_frame=False,
     is_possible=_rise,
 )
+
+
+@dataclass(frozen=True)
+class MetricRequest:
+    """Which metrics judge the frames, with their settings.
+
+    chosen : the metrics, in the order of their columns
+    options : settings of the metrics
+    repeats : frames that share the registrations of a pixel size
+    """
+
+    chosen: tuple[Metric, ...] = (DELTA_E,)
+    options: MetricOptions = METRIC_OPTIONS
+    repeats: int = 1
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the metrics."""
+        return tuple(metric.name for metric in self.chosen)
+
+    @property
+    def needs_light(self) -> bool:
+        """Whether a metric asks for the light of the scene."""
+        return any(metric.needs_light for metric in self.chosen)
+
+    @property
+    def content(self) -> tuple[object, ...]:
+        """What the numbers depend on: the settings of those metrics that have some, and the code of the user's functions."""
+        options = {metric.name: getattr(self.options, metric.name, None) for metric in self.chosen}
+        tables = {name: None if table is None else table.model_dump(mode="json") for name, table in options.items()}
+        return tables, [metric.code for metric in self.chosen], self.repeats if self.needs_light else 0
+
+    def check(self, context: MetricContext) -> None:
+        """Raise PixsimError for a metric that means nothing in a configuration."""
+        for metric in self.chosen:
+            if lacking := metric.lacking(context):
+                others = ", ".join(other.name for other in self.chosen if not other.lacking(context))
+                allowed = f"{lacking}; or other metrics" + (f", as {others}" if others else "")
+                raise invalid("metrics", f"'{metric.name}'", allowed)
+
+
+DELTA_E_ONLY = MetricRequest()

@@ -17,20 +17,14 @@ from pixsim.sensor.collection import kernel_on_axis
 from pixsim.sensor.integration import diffusion_of, electrons_per_joule, illumination_of
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.viewer.display import interpolation_mtf, picture_size_um
-from pixsim.viewer.display_options import Display
+from pixsim.viewer.imaging import Imaging
 
 Value = TypeVar("Value", Array, float)
 OF_DISPLAY = ("interpolation", "dot")
 
 
 def mtf_terms(
-    irradiance: SpectralImage,
-    camera: Camera,
-    physics: PixelPhysics,
-    display: Display,
-    frequency_cy_per_mm: Array,
-    dot_um: float | None = None,
-    path_um: float = 0.0,
+    imaging: Imaging, irradiance: SpectralImage, frequency_cy_per_mm: Array, dot_um: float | None = None, path_um: float = 0.0
 ) -> dict[str, Array]:
     """Return the MTF of each term along an axis: lens, motion, photodiode, interpolation, dot, (...) as the frequencies, 0 to 1.
 
@@ -43,6 +37,7 @@ def mtf_terms(
     dot_um : side of a dot on the sensor; None means that of the whole picture
     path_um : of light that moves in an exposure, along the axis
     """
+    camera, physics, display = imaging.camera, imaging.physics, imaging.display
     response = electrons_per_joule(physics, irradiance)
     weight = response * irradiance.mean_spectrum()
     if not weight.any():  # a black picture: assume equal light in all bands

@@ -29,7 +29,6 @@ import numpy as np
 
 from pixsim.base.arrays import Array, mixed
 from pixsim.light.spectral import SpectralImage
-from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import LENS_HEADER, ideal_light, without_lens
 from pixsim.sensor.collection import ColourCollection, collection_of
 from pixsim.sensor.integration import (
@@ -46,11 +45,14 @@ from pixsim.sensor.noise import variances_e2, without_source
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.quantities import MAX_CODE_BITS
 from pixsim.sensor.readout import Frame, lasting, make_frame
+from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.develop import white_y, xyz_weights
 from pixsim.viewer.develop_steps import developed
 from pixsim.viewer.display import means_on_dots, white_rate
 from pixsim.viewer.every_pixel import at_every_pixel, mixed_at_every_pixel
-from pixsim.viewer.score import ImagingChain, PreparedScene, shown
+from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.scene_light import PreparedScene
+from pixsim.viewer.screen import display_image
 
 FLICKER, REDUCTION = "flicker of the light", "noise reduction"
 SHOT, DARK, ROUNDING = "shot noise of light", "shot noise of dark charge", "rounding by the ADC"
@@ -108,17 +110,15 @@ class NoiseBudget:
             yield cause, self.electrons_e.get(cause), delta_e
 
 
-def noise_budget(
-    irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, light: PreparedScene, chain: ImagingChain, *key: object
-) -> NoiseBudget:
+def noise_budget(chain: ImagingChain, irradiance: SpectralImage, *key: object) -> NoiseBudget:
     """Return the noise budget of one sensor and frame.
 
-    light, chain : of the pixel
-    key : of the sensor and the frame, as of `ImagingChain.simulate`
+    irradiance : from which the chain's scene was prepared
+    key : of the sensor and the frame, for `ImagingChain.simulate`
     """
     if chain.exposure.flickers:
         whole = chain.simulate(*key).mean_delta_e
-        steady = noise_budget(irradiance, camera, physics, light, replace(chain, exposure=chain.exposure.steady), *key)
+        steady = noise_budget(replace(chain, exposure=chain.exposure.steady), irradiance, *key)
         delta_e = {FLICKER: whole - steady.mean_delta_e} | steady.delta_e
         return replace(steady, mean_delta_e=whole, delta_e=delta_e)
     frame = chain.capture(*key)
@@ -127,11 +127,11 @@ def noise_budget(
     measured = (frame.dn - frame.black_level_dn) / frame.dn_per_e - frame.mean_dark_e - frame.mean_e
     noiseless = noiseless_frame(chain, time_s)
 
-    mean_delta_e = chain.score_frame(frame).mean_delta_e
+    mean_delta_e = chain.development.score(frame).mean_delta_e
     steps = [
         *noise_steps(chain, noiseless, variances, key),
-        *colour_steps(irradiance, camera, physics, light, chain, noiseless),
-        *blur_steps(irradiance, camera, physics, light, chain, noiseless),
+        *colour_steps(chain, irradiance, noiseless),
+        *blur_steps(chain, irradiance, noiseless),
     ]
     left = [mean_delta_e, *(delta_e for _, delta_e in steps)]
     return NoiseBudget(
@@ -155,7 +155,10 @@ def noiseless_frame(chain: ImagingChain, integration_s: float) -> Frame:
 
 def undenoised(chain: ImagingChain) -> ImagingChain:
     """Return a chain whose development takes no noise away."""
-    return replace(chain, develop=chain.develop.model_copy(update={"denoise": "none"})) if chain.develop.denoises else chain
+    develop = chain.imaging.develop
+    if not develop.denoises:
+        return chain
+    return replace(chain, imaging=chain.imaging.changed(develop=develop.model_copy(update={"denoise": "none"})))
 
 
 def render_noise_of(irradiance: SpectralImage) -> float:
@@ -192,7 +195,7 @@ def noise_steps(chain: ImagingChain, noiseless: Frame, variances: Iterable[str],
     physics = chain.physics
     for name in variances:
         if name == SHOT:
-            yield name, chain.score_frame(noiseless).mean_delta_e
+            yield name, chain.development.score(noiseless).mean_delta_e
             continue
         if name == ROUNDING:
             physics = finer_adc(physics)
@@ -201,79 +204,78 @@ def noise_steps(chain: ImagingChain, noiseless: Frame, variances: Iterable[str],
         else:
             physics = without_source(physics, name)
         yield name, replace(chain, physics=physics, exposure=exposure).simulate(*key).mean_delta_e
-    if chain.develop.denoises:
-        yield REDUCTION, undenoised(chain).score_frame(noiseless).mean_delta_e
+    if chain.imaging.develop.denoises:
+        yield REDUCTION, undenoised(chain).development.score(noiseless).mean_delta_e
 
 
 def delta_e_of_planes(planes: Sequence[Array], matrix: Array | None, chain: ImagingChain, noiseless: Frame) -> float:
     """Return the mean ΔE of channels that every pixel knows, each (rows, columns) and 1 for white."""
-    developing = chain.developing(noiseless, matrix)
-    return delta_e_of_dots(chain.mixed_on_dots(developed(list(planes), developing), developing), chain)
+    developing = chain.development.developing(noiseless, matrix)
+    dots = chain.development.mixed_on_dots(developed(list(planes), developing), developing)
+    return delta_e_of_dots(dots, chain)
 
 
 def delta_e_of_dots(dots: Array, chain: ImagingChain) -> float:
     """Return the mean ΔE of the light of the display's dots, (H, W) or (3, H, W), 1 for white."""
-    return float(chain.screen.delta_e_of(shown(chain.toned(dots), chain.screen.display)).mean())
+    image = display_image(chain.development.toned(dots), chain.screen.display)
+    return float(chain.screen.delta_e_of(image).mean())
 
 
-def colour_steps(
-    irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, light: PreparedScene, chain: ImagingChain, noiseless: Frame
-) -> Steps:
+def colour_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Frame) -> Steps:
     """Yield mosaic, crosstalk with shading, and colour error, with the mean ΔE that is left; nothing for grey sensors."""
-    if light.rendition is None:
+    imaging, scene = chain.imaging, chain.scene
+    physics = imaging.physics
+    assert scene is not None
+    if scene.rendition is None:
         return
-    unmixed = replace(chain, collection=None, rendition=light.rendition, whites_e_per_s=light.whites_e_per_s(physics))
-    pixels = centred_pixels(light.array_um, physics)
-    channels = [
-        at_every_pixel(
-            channel_light.rate_e_per_s_um2, light, physics, collection_of(channel, channel_light.illumination, pixels), chain.moving
-        )
-        / white
-        for channel_light, channel, white in zip(light.lights, physics.channels, light.whites_e_per_s_um2, strict=True)
-    ]
+    whites = scene.whites_e_per_s(physics)
+    unmixed = replace(chain, collection=None, rendition=scene.rendition, whites_e_per_s=whites)
+    pixels = centred_pixels(scene.array_um, physics)
+    channels = []
+    for light, channel, white in zip(scene.lights, physics.channels, scene.whites_e_per_s_um2, strict=True):
+        collection = collection_of(channel, light.illumination, pixels)
+        channels.append(at_every_pixel(light.rate_e_per_s_um2, scene, physics, collection, chain.moving) / white)
 
     # Without a stack, channels record their own light only.
     if chain.collection is None:
-        recorded, matrix = channels, unmixed.matrix
+        recorded, matrix = channels, unmixed.development.matrix
     else:
         assert isinstance(chain.collection, ColourCollection)
-        is_shaded = chain.shading is not None
-        recorded = mixed_at_every_pixel(light, physics, chain.collection, chain.moving, is_shaded=is_shaded)
-        matrix = chain.matrix
+        is_shaded = chain.development.shading is not None
+        recorded = mixed_at_every_pixel(scene, physics, chain.collection, chain.moving, is_shaded=is_shaded)
+        matrix = chain.development.matrix
     yield MOSAIC, delta_e_of_planes(recorded, matrix, unmixed, noiseless)
-    yield CROSSTALK, delta_e_of_planes(channels, unmixed.matrix, unmixed, noiseless)
+    yield CROSSTALK, delta_e_of_planes(channels, unmixed.development.matrix, unmixed, noiseless)
 
-    weights, white = observer(irradiance, camera, physics, light, chain)
-    collection = collection_of(physics, illumination_of(irradiance, camera, physics), pixels)
-    rates = diffracted(irradiance, camera, weights, diffusion_of(physics))
-    observed = [at_every_pixel(rate, light, physics, collection, chain.moving) / white for rate in rates]
-    yield COLOUR_ERROR, delta_e_of_planes(observed, light.rendition.to_display, unmixed, noiseless)
+    weights, white = observer(chain.development.imaging, irradiance)
+    collection = collection_of(physics, illumination_of(irradiance, imaging.camera, physics), pixels)
+    rates = diffracted(irradiance, imaging.camera, weights, diffusion_of(physics))
+    observed = [at_every_pixel(rate, scene, physics, collection, chain.moving) / white for rate in rates]
+    yield COLOUR_ERROR, delta_e_of_planes(observed, scene.rendition.to_display, unmixed, noiseless)
 
 
-def observer(
-    irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, light: PreparedScene, chain: ImagingChain
-) -> tuple[list[Array], float]:
+def observer(imaging: Imaging, irradiance: SpectralImage) -> tuple[list[Array], float]:
     """Return what weighs the light's bands, X, Y and Z or a grey sensor's electrons, and the rate of display white per µm²."""
-    display = chain.screen.display
-    if light.rendition is None:
-        return [electrons_per_joule(physics, irradiance)], white_rate(irradiance, camera, physics, display)
-    return list(xyz_weights(irradiance)), white_y(irradiance, camera, display) * M2_PER_UM2
+    physics = imaging.physics
+    if physics.layout is None:
+        return [electrons_per_joule(physics, irradiance)], white_rate(imaging, irradiance)
+    return list(xyz_weights(irradiance)), white_y(irradiance, imaging.camera, imaging.display) * M2_PER_UM2
 
 
-def blur_steps(
-    irradiance: SpectralImage, camera: Camera, physics: PixelPhysics, light: PreparedScene, chain: ImagingChain, noiseless: Frame
-) -> Steps:
+def blur_steps(chain: ImagingChain, irradiance: SpectralImage, noiseless: Frame) -> Steps:
     """Yield each cause of blur with the mean ΔE that is left, of a picture without noise and colour error."""
-    weights, white = observer(irradiance, camera, physics, light, chain)
-    matrix = None if light.rendition is None else light.rendition.to_display
-    blur, pixels = diffusion_of(physics), centred_pixels(light.array_um, physics)
+    scene, camera, physics = chain.scene, chain.imaging.camera, chain.imaging.physics
+    assert scene is not None
+    weights, white = observer(chain.development.imaging, irradiance)
+    matrix = None if scene.rendition is None else scene.rendition.to_display
+    blur, pixels = diffusion_of(physics), centred_pixels(scene.array_um, physics)
     collection = collection_of(physics, illumination_of(irradiance, camera, physics), pixels)
 
     def delta_e_of_pixels(rates: list[Array], *, shares: bool = True, moving: Moving = STANDING) -> float:
-        planes = [at_every_pixel(rate, light, physics, collection, moving, shares=shares) / white for rate in rates]
+        planes = [at_every_pixel(rate, scene, physics, collection, moving, shares=shares) / white for rate in rates]
         return delta_e_of_planes(planes, matrix, chain, noiseless)
 
-    if light.rendition is None and collection is not None:
+    if scene.rendition is None and collection is not None:
         yield SHADING, delta_e_of_pixels(diffracted(irradiance, camera, weights, blur), moving=chain.moving)
     if chain.moving.is_on:
         yield MOTION, delta_e_of_pixels(diffracted(irradiance, camera, weights, blur))
@@ -292,15 +294,15 @@ def blur_steps(
 
     side_um = physics.photodiode_side_um if collection is None else collection.aperture_side_um
     if chain.screen.display.raster == "fixed_size":
-        averaged = [integrate_pixels(rate, light.sample_pitch_um, light.sample_pitch_um, side_um) / side_um**2 for rate in rates]
-        yield SAMPLING, delta_e_of_dots(on_dots(averaged, light, chain, matrix, white), chain)
-    yield APERTURE, delta_e_of_dots(on_dots(rates, light, chain, matrix, white), chain)
+        averaged = [integrate_pixels(rate, scene.sample_pitch_um, scene.sample_pitch_um, side_um) / side_um**2 for rate in rates]
+        yield SAMPLING, delta_e_of_dots(on_dots(averaged, scene, chain, matrix, white), chain)
+    yield APERTURE, delta_e_of_dots(on_dots(rates, scene, chain, matrix, white), chain)
 
 
-def on_dots(rates: list[Array], light: PreparedScene, chain: ImagingChain, matrix: Array | None, white: float) -> Array:
+def on_dots(rates: list[Array], scene: PreparedScene, chain: ImagingChain, matrix: Array | None, white: float) -> Array:
     """Return the light of the display's dots, (H, W) or (3, H, W), of rates (H, W) that no pixel samples, 1 for white.
 
     matrix : from X, Y and Z to the display's primaries; None for a grey sensor
     """
-    means = [means_on_dots(rate, light.sample_pitch_um, chain.screen.dot_edges_um) / white for rate in rates]
+    means = [means_on_dots(rate, scene.sample_pitch_um, chain.screen.dot_edges_um) / white for rate in rates]
     return means[0] if matrix is None else mixed(matrix, means)

@@ -12,10 +12,11 @@ from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
 from pixsim.viewer.display import shown_luminance
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.judged import Judging
+from pixsim.viewer.evaluate import with_numbers
 from pixsim.viewer.metric_registry import metrics_named
-from pixsim.viewer.metrics import MetricContext
-from pixsim.viewer.score import CLIPPED_WARNING, Score, Screen, fraction_beyond_white, perceived_lab, with_numbers
+from pixsim.viewer.metrics import MetricContext, MetricRequest
+from pixsim.viewer.score import Score
+from pixsim.viewer.screen import CLIPPED_WARNING, Screen, fraction_beyond_white, perceived_lab
 
 
 @checks_arguments
@@ -49,7 +50,7 @@ def score_pictures(
     >>> {name: round(value, 3) for name, value in score.metrics.items()}
     {'delta_e': 34.069, 'mean_error': 0.375}
     """
-    display, judging = display or Display(), Judging(metrics_named(metrics))
+    display, request = display or Display(), MetricRequest(metrics_named(metrics))
     ideal, image = np.asarray(ideal), np.asarray(image)
     for name, picture in (("ideal", ideal), ("image", image)):
         if picture.ndim not in (2, 3) or picture.shape[2:] not in ((), (3,)) or not picture.size:
@@ -64,7 +65,7 @@ def score_pictures(
         if ideal.ndim != image.ndim:
             hint = "Grey light is that of three equal primaries: np.repeat(grey[..., None], 3, axis=2)."
         raise invalid("ideal and image", got, "equal shapes", hint)
-    judging.check(MetricContext(is_colour=ideal.ndim == 3, has_without=False, has_frame=False))
+    request.check(MetricContext(is_colour=ideal.ndim == 3, has_without=False, has_frame=False))
     ideal, image = ideal.astype(float), image.astype(float)
     beyond = fraction_beyond_white(ideal if ideal.ndim == 2 else np.moveaxis(ideal, 2, 0))
     if beyond > CLIPPED_WARNING:
@@ -74,4 +75,4 @@ def score_pictures(
     edges = np.arange(rows + 1.0), np.arange(columns + 1.0)  # a dot is a unit of length
     screen = Screen(display, (float(rows), float(columns)), edges, ideal, perceived_lab(ideal, display))
     score = Score(screen.delta_e_of(image), ideal, image, display)
-    return with_numbers(score, judging.metrics, score)
+    return with_numbers(score, request.chosen, score)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,29 +14,26 @@ from scipy.special import ndtr
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
 from pixsim.base.errors import invalid
+from pixsim.sensor.code_moments import COARSE_DN, FARTHEST_SIGMAS, moments_of_codes
 from pixsim.sensor.integration import M2_PER_UM2, electrons_per_joule, split_by_veil
 from pixsim.sensor.noise import constant_e, variance_e2
 from pixsim.sensor.photodiode import responds_linearly, saturation_level_e, stored_signal_e
+from pixsim.sensor.pixel import PixelPhysics
+from pixsim.viewer.chain import ExpectedFrame
 from pixsim.viewer.display import white_cd_per_m2
+from pixsim.viewer.frame_under_test import FrameUnderTest
 from pixsim.viewer.judges.information_density import folded_spectrum, information_bits_per_mm2, natural_spectrum, neq
 from pixsim.viewer.judges.interpretability import niirs, relative_edge_response
 from pixsim.viewer.judges.linear_observer import detectability
 from pixsim.viewer.judges.sharpness import mtf50
 from pixsim.viewer.judges.snr_illuminance import snr10_lx
-from pixsim.viewer.metric_options import NO_CONTRAST
+from pixsim.viewer.metric_options import NO_CONTRAST, Detectability
 from pixsim.viewer.metrics import Metric, MetricContext, NoNumberError
 from pixsim.viewer.mtf import mtf_terms, of_sensor
-
-if TYPE_CHECKING:
-    from pixsim.viewer.judged import Judged
-    from pixsim.viewer.metric_options import Detectability, Information
-    from pixsim.viewer.score import ImagingChain
 
 LEAST_SIGMA_DN = 0.5  # below it quantisation is no noise, and no observer is linear in it
 FARTHEST = 1e12  # of d′, and of the factor of a contrast that none makes visible
 RENDER_NOISE = 0.01  # of the mean signal: less light than none by so much is noise of a render
-COARSE_DN = 8.0  # deviation above which sums over codes are integrals within 1/(24 σ²), 7e-4
-FARTHEST_SIGMAS = 6.0  # from code 0, which cuts off no noise farther away
 CODE_POINTS = 1025  # of a table: a slope between two of them errs by 3e-3 of its change
 START_POINTS = 4097  # signals up to the end of the well, among which a table begins
 MOST_WELLS, WIDER = 64.0, 1.25  # largest signal of a table; by what it is made longer until pixels are full for sure
@@ -50,25 +47,25 @@ TABLE_POINTS = 1025
 HIGHEST_CY_PER_PX = 4.0  # of the table of the MTF: the corner of the second aliases is at 3.5
 
 
-def variance_of_pixels_e2(chain: ImagingChain, signal_e: Array | float, time_s: float) -> Array:
+def variance_of_pixels_e2(physics: PixelPhysics, signal_e: Array | float, time_s: float) -> Array:
     """Return the variance that a pixel has alone, with its fixed pattern and the quantisation, in the shape of the signal."""
-    p = chain.physics
+    p = physics
     dark_e = p.dark_current_e_per_s * time_s
     alone = variance_e2(p, signal_e + dark_e, light_e=signal_e, dark_e=dark_e, along="pixel")
     return np.asarray(alone + p.rounding_variance_dn2 / p.dn_per_e**2)
 
 
-def full_e(chain: ImagingChain, time_s: float) -> float:
+def full_e(physics: PixelPhysics, time_s: float) -> float:
     """Return the signal at which the well is full, or the codes end, in electrons; 0 where dark charge alone does it."""
-    p = chain.physics
+    p = physics
     dark_e = p.dark_current_e_per_s * time_s
     top_e = (p.top_code_dn - p.black_level_dn) / p.dn_per_e - dark_e  # `frame_mean_dn` is linear
     return max(min(saturation_level_e(time_s, p) - dark_e, top_e), 0.0)
 
 
-def clips(chain: ImagingChain, signal_e: Array, time_s: float) -> NDArray[np.bool_]:
+def clips(physics: PixelPhysics, signal_e: Array, time_s: float) -> NDArray[np.bool_]:
     """Return which pixels of an expected signal are at the end of the well or of the codes."""
-    return np.asarray(signal_e >= full_e(chain, time_s))
+    return np.asarray(signal_e >= full_e(physics, time_s))
 
 
 class CodeTable(NamedTuple):
@@ -102,60 +99,16 @@ class CodeMoments(NamedTuple):
     offset_slope: Array
 
 
-def moments_of_codes(
-    level_dn: Array, sigma_dn: Array, top_dn: float = math.inf, *, coarse_dn: float = COARSE_DN
-) -> tuple[Array, Array, Array]:
-    """Return mean and variance of the codes of normal levels, (n,) each, and the change of the mean with the level.
-
-    A code is the level rounded, from 0 to the top code T: its mean is Σ P(level > j - ½) over j = 1 … T, its mean square
-    Σ (2j - 1) P, exactly. The sums are integrals if the deviation is many codes. Codes in the upper half are counted from T down.
-
-    coarse_dn : deviation above which sums are integrals; 0 where other noise has rounded the level's steps away
-    """
-    is_upper = level_dn > top_dn / 2
-    if is_upper.any():
-        level_dn = np.where(is_upper, top_dn - level_dn, level_dn)
-
-    mean, square, slope = _moments_above_0(level_dn, sigma_dn)
-    if (level_dn + FARTHEST_SIGMAS * sigma_dn).max() > top_dn:  # of few codes: the farther end too
-        beyond_mean, beyond_square, beyond_slope = _moments_above_0(level_dn - top_dn, sigma_dn)
-        mean = mean - beyond_mean
-        square = square - beyond_square - 2 * top_dn * beyond_mean
-        slope = slope - beyond_slope
-
-    fine = sigma_dn <= coarse_dn
-    if fine.any():
-        level, sigma = level_dn[fine, None], sigma_dn[fine, None]
-        last = min(top_dn, math.ceil(float((level + FARTHEST_SIGMAS * sigma).max())))
-        j = np.arange(1.0, last + 1)
-        away = (level - j + 0.5) / sigma
-        above = ndtr(away)
-        mean[fine], square[fine] = above.sum(axis=1), ((2 * j - 1) * above).sum(axis=1)
-        slope[fine] = (np.exp(-(away**2) / 2) / (math.sqrt(2 * math.pi) * sigma)).sum(axis=1)
-    variance = square - mean**2
-    return np.where(is_upper, top_dn - mean, mean) if is_upper.any() else mean, variance, slope
-
-
-def _moments_above_0(level_dn: Array, sigma_dn: Array) -> tuple[Array, Array, Array]:
-    """Return mean and mean square of normal levels that 0 cuts off, with the rounding above it, and the slope of the mean."""
-    reach = level_dn / sigma_dn
-    density = np.exp(-(reach**2) / 2) / math.sqrt(2 * math.pi)
-    slope = np.asarray(ndtr(reach))
-    mean = level_dn * slope + sigma_dn * density
-    square = (level_dn**2 + sigma_dn**2) * slope + level_dn * sigma_dn * density + slope / 12
-    return mean, square, slope
-
-
 class ClippedExposure:
-    """One exposure of a chain's frames, of pixels that all have the same mean signal.
+    """One exposure of a frame, of pixels that all have the same mean signal.
 
     It takes the noise of the charge, before the well, and that behind it as normal. Each exposure of a burst clips by itself.
     """
 
-    def __init__(self, chain: ImagingChain, time_s: float) -> None:
-        p = chain.physics.burst(1)
+    def __init__(self, physics: PixelPhysics, time_s: float) -> None:
+        p = physics.burst(1)
         is_soft = p.diode is not None and p.pixel.well_limit != "swing"
-        self.count = chain.physics.exposures
+        self.count = physics.exposures
         self.time_s = time_s / self.count
         self.physics = p
         if not responds_linearly(p):  # frames are taken to respond linearly up to the well, as by `frame_mean_dn`
@@ -278,9 +231,16 @@ class ClippedExposure:
         return CodeTable(count * signal_e, mean_e, variance_e2, signal_slope, offset_slope, count * low_e, count * high_e)
 
 
-def bottom_table(chain: ImagingChain, time_s: float, darkest_e: float) -> CodeTable | None:
+def cached_codes(frame: ExpectedFrame, name: str, compute: Callable[[], CodeTable]) -> CodeTable:
+    """Return a table that frames of one time and pixel share."""
+    physics = frame.physics
+    key = name, frame.integration_s, physics.gain_db, physics.exposures, *frame.imaging.pixel_key
+    return frame.light.cached(key, compute)
+
+
+def bottom_table(frame: ExpectedFrame, darkest_e: float) -> CodeTable | None:
     """Return the table of signals near code 0; None if the noise of the darkest one does not reach it."""
-    exposure = ClippedExposure(chain, time_s)
+    exposure = ClippedExposure(frame.physics, frame.integration_s)
     if not exposure.reaches_0(darkest_e / exposure.count):
         return None
 
@@ -291,12 +251,12 @@ def bottom_table(chain: ImagingChain, time_s: float, darkest_e: float) -> CodeTa
             end_e *= 2
         return exposure.table(np.linspace(0.0, end_e, CODE_POINTS), -math.inf, end_e)
 
-    return chain.facts.kept(("bottom codes", time_s, chain.physics.gain_db, exposure.count, *chain.pixel_key), compute)
+    return cached_codes(frame, "bottom codes", compute)
 
 
-def top_table(chain: ImagingChain, time_s: float, brightest_e: float) -> CodeTable | None:
+def top_table(frame: ExpectedFrame, brightest_e: float) -> CodeTable | None:
     """Return the table of signals near the full well or the top code; None if the noise of the brightest does not reach either."""
-    exposure = ClippedExposure(chain, time_s)
+    exposure = ClippedExposure(frame.physics, frame.integration_s)
     if not exposure.reaches_top(brightest_e / exposure.count):
         return None
 
@@ -316,14 +276,14 @@ def top_table(chain: ImagingChain, time_s: float, brightest_e: float) -> CodeTab
             table.signal_slope[-1] = 0.0
         return table
 
-    return chain.facts.kept(("top codes", time_s, chain.physics.gain_db, exposure.count, *chain.pixel_key), compute)
+    return cached_codes(frame, "top codes", compute)
 
 
-def code_tables(chain: ImagingChain, time_s: float, *signals_e: Array) -> list[CodeTable]:
+def code_tables(frame: ExpectedFrame, *signals_e: Array) -> list[CodeTable]:
     """Return the tables of both ends that the noise of pictures reaches; none of them far from both."""
     darkest_e = min(float(signal_e.min()) for signal_e in signals_e)
     brightest_e = max(float(signal_e.max()) for signal_e in signals_e)
-    tables = bottom_table(chain, time_s, darkest_e), top_table(chain, time_s, brightest_e)
+    tables = bottom_table(frame, darkest_e), top_table(frame, brightest_e)
     return [table for table in tables if table is not None]
 
 
@@ -340,20 +300,20 @@ def code_moments(tables: Sequence[CodeTable], signal_e: Array, variance_e2: Arra
     return CodeMoments(*moments)
 
 
-def expected_e(chain: ImagingChain, signal_e: Array, time_s: float) -> Array:
-    """Return the expected electrons of a frame, as the well and the codes clip them; none in a well that dark charge fills."""
-    tables = code_tables(chain, time_s, signal_e)
+def expected_e(frame: ExpectedFrame, signal_e: Array) -> Array:
+    """Return the expected electrons of a signal, as the well and the codes clip it; none in a well that dark charge fills."""
+    tables = code_tables(frame, signal_e)
     return np.maximum(code_moments(tables, signal_e, 0.0).mean_e, 0.0) if tables else signal_e
 
 
-def _d_prime(chain: ImagingChain, time_s: float) -> float:
-    """Return d′ of the ideal linear observer in the frames of a chain: a signal-to-noise ratio, also where pixels clip."""
-    assert chain.without_e_per_s is not None
-    p, with_e, without_e = chain.physics, chain.signal_e_per_s * time_s, chain.without_e_per_s * time_s
+def _d_prime(frame: ExpectedFrame) -> float:
+    """Return d′ of the ideal linear observer in such frames: a signal-to-noise ratio, also where pixels clip."""
+    assert frame.background_e is not None
+    p, with_e, without_e = frame.physics, frame.signal_e, frame.background_e
     difference = with_e - without_e
     # The mean variance of both: that of the mean signal, and of what grows with the square of it half of the difference squared.
     spread = float(np.mean(variance_e2(p, light_e=1.0, along="pixel"))) - float(np.mean(variance_e2(p, along="pixel")))
-    variance = variance_of_pixels_e2(chain, (with_e + without_e) / 2, time_s)
+    variance = variance_of_pixels_e2(p, (with_e + without_e) / 2, frame.integration_s)
     variance += spread / 4 * difference**2
     unrounded_dn2 = p.dn_per_e**2 * float(variance.min()) - p.rounding_variance_dn2
     sigma_dn = math.sqrt(max(unrounded_dn2, 0.0) / p.exposures)  # of an exposure, before it is rounded
@@ -363,7 +323,7 @@ def _d_prime(chain: ImagingChain, time_s: float) -> float:
         allowed = f"at least {LEAST_SIGMA_DN:g} DN, so that rounding is noise"
         raise NoNumberError(str(invalid("the metric detectability", got, allowed, hint)))
     column_variance, row_variance = (float(np.mean(variance_e2(p, along=along))) for along in ("column", "row"))
-    tables = code_tables(chain, time_s, with_e, without_e)
+    tables = code_tables(frame, with_e, without_e)
     if not tables:
         return detectability(difference, variance, column_variance=column_variance, row_variance=row_variance)
 
@@ -380,45 +340,45 @@ def _d_prime(chain: ImagingChain, time_s: float) -> float:
     return min(d_prime, FARTHEST)
 
 
-def contrast_factor(chain: ImagingChain, time_s: float, d_prime: float, options: Detectability) -> tuple[float, str]:
+def contrast_factor(frame: ExpectedFrame, d_prime: float) -> tuple[float, str]:
     """Return by what a target's contrast is multiplied for d′ to reach the threshold, and why there is no such factor.
 
     d′ is proportional to a small contrast, where no picture clips. Without a factor it is `FARTHEST`; with one the reason is empty.
     """
-    assert chain.without_e_per_s is not None
-    background_e = chain.without_e_per_s * time_s
-    difference_e = chain.signal_e_per_s * time_s - background_e
+    assert frame.background_e is not None
+    options, physics, time_s = frame.imaging.metrics.options.detectability, frame.physics, frame.integration_s
+    background_e = frame.background_e
+    difference_e = frame.signal_e - background_e
     if not difference_e.any():
         return FARTHEST, "the target changes no pixel"
-    if clips(chain, background_e.max(), time_s):
+    if clips(physics, background_e.max(), time_s):
         return FARTHEST, "pixels are full without the target"
 
     factor = min(options.threshold / d_prime, FARTHEST) if d_prime else FARTHEST
     lowest_e = float((background_e + factor * difference_e).min())
     is_negative = lowest_e < -RENDER_NOISE * float(background_e.mean())
-    if is_negative or factor * stated_contrast(chain, options) < -1:
+    if is_negative or factor * stated_contrast(frame, options) < -1:
         return FARTHEST, "a target cannot be darker than black"
 
     # A target that is full now has a d′ from which no factor follows.
-    if clips(chain, (background_e + max(factor, 1.0) * difference_e).max(), time_s):
+    if clips(physics, (background_e + max(factor, 1.0) * difference_e).max(), time_s):
         return FARTHEST, f"pixels are full with {'the target' if factor <= 1 else 'that much contrast'}"
     return factor, ""
 
 
-def stated_contrast(chain: ImagingChain, options: Detectability) -> float:
+def stated_contrast(frame: ExpectedFrame, options: Detectability) -> float:
     """Return the contrast of a target that its scene states, where the light without it is that of no contrast; else 0."""
-    stated = chain.facts.mean.header.get("parameters", {}).get("contrast")
+    stated = frame.light.mean.header.get("parameters", {}).get("contrast")
     if stated is None or options.without != NO_CONTRAST:
         return 0.0
     return float(stated)
 
 
-def _detectability(judged: Judged) -> tuple[float, float, float]:
-    options, chain = judged.options.detectability, judged.chain
-    each = [_d_prime(chain, judged.time_s(chain)) for chain in judged.chains(options.registrations)]
-    mean = float(np.mean(each))
-    factor, _ = contrast_factor(chain, judged.frame.integration_s, mean, options)
-    return mean, min(each), factor
+def _detectability(judged: FrameUnderTest) -> tuple[float, float, float]:
+    values = [_d_prime(frame) for frame in judged.registrations(judged.options.detectability.registrations)]
+    mean = float(np.mean(values))
+    factor, _ = contrast_factor(judged.expected, mean)
+    return mean, min(values), factor
 
 
 def needs_target(asked: MetricContext) -> str:
@@ -446,14 +406,6 @@ DETECTABILITY = Metric(
 )
 
 
-OF_TARGETS = "detectability", "npwe"  # that ask for the light of the scene without its target
-
-
-def has_target(metrics: Sequence[str]) -> bool:
-    """Return whether some metrics, by their names, ask for the light of the scene without its target."""
-    return any(name in metrics for name in OF_TARGETS)
-
-
 def grey(asked: MetricContext) -> str:
     """Return what a metric of monochrome sensors lacks."""
     return "a pixel without colour filters (pixel.colour)" if asked.is_colour else ""
@@ -465,18 +417,18 @@ def grey_at_a_distance(asked: MetricContext) -> str:
     return grey(asked) or ("" if asked.has_distance else stated)
 
 
-def sensor_terms(chain: ImagingChain) -> tuple[Array, dict[str, Array]]:
+def sensor_terms(frame: ExpectedFrame) -> tuple[Array, dict[str, Array]]:
     """Return frequencies in cycles/mm on the sensor, and the MTF of each term up to it along an axis; the same for all frames."""
 
     def compute() -> tuple[Array, dict[str, Array]]:
-        facts, physics = chain.facts, chain.physics
+        physics = frame.physics
         along = np.linspace(0.0, HIGHEST_CY_PER_PX * 1e3 / physics.read_pitch_um, TABLE_POINTS)
-        return along, of_sensor(mtf_terms(facts.mean, facts.camera, physics, chain.screen.display, along))
+        return along, of_sensor(mtf_terms(frame.imaging, frame.light.mean, along))
 
-    return chain.facts.kept(("terms", *chain.pixel_key), compute)
+    return frame.light.cached(("terms", *frame.imaging.pixel_key), compute)
 
 
-def sensor_mtf(chain: ImagingChain, across: Array, down: Array, *, with_lens: bool = True) -> Array:
+def sensor_mtf(frame: ExpectedFrame, across: Array, down: Array, *, with_lens: bool = True) -> Array:
     """Return the MTF from scene to sensor at frequencies along x and y, which broadcast, in cycles/mm on the sensor.
 
     Blur by the lens and by diffusion is taken as that of the axis in all directions.
@@ -485,8 +437,8 @@ def sensor_mtf(chain: ImagingChain, across: Array, down: Array, *, with_lens: bo
 
     with_lens : whether the lens counts, and not the pixel alone
     """
-    along, terms = sensor_terms(chain)
-    path_mm = 1e-3 * np.array(chain.moving.path_um)
+    along, terms = sensor_terms(frame)
+    path_mm = 1e-3 * np.array(frame.moving.path_um)
     found: Array = (
         np.sinc(path_mm[0] * down + path_mm[1] * across)
         if path_mm.any()
@@ -501,28 +453,31 @@ def sensor_mtf(chain: ImagingChain, across: Array, down: Array, *, with_lens: bo
     return found
 
 
-def scene_power(chain: ImagingChain, options: Information) -> tuple[Array, Array, Array]:
+def scene_power(frame: ExpectedFrame) -> tuple[Array, Array, Array]:
     """Return frequencies of an axis (n,), and what pixels see of the scene's spectrum and of its aliases, (n, n), in mm².
 
     Over the squared mean signal: the same for all frames.
     """
 
+    options = frame.imaging.metrics.options.information
+
     def compute() -> tuple[Array, Array, Array]:
-        pitch_um = chain.physics.read_pitch_um
+        pitch_um = frame.physics.read_pitch_um
         axis = np.linspace(-500.0 / pitch_um, 500.0 / pitch_um, POINTS)
-        corner = options.corner_cy_per_mm or 1 / chain.facts.camera.die_mm
+        corner = options.corner_cy_per_mm or 1 / frame.imaging.camera.die_mm
         level = options.contrast**2 / (2 * math.pi * math.log(2))  # of an octave: 2π C ln 2
         of_scene = options.spectrum == "scene"
 
         def power(down: Array, across: Array) -> Array:
             radius = np.hypot(down, across)
             # The scene's own picture is one behind the lens.
-            own = np.interp(radius, *chain.facts.spectrum, right=0.0) if of_scene else natural_spectrum(radius, level, corner)
-            return np.asarray(own * sensor_mtf(chain, across, down, with_lens=not of_scene) ** 2)
+            own = np.interp(radius, *frame.light.spectrum, right=0.0) if of_scene else natural_spectrum(radius, level, corner)
+            return np.asarray(own * sensor_mtf(frame, across, down, with_lens=not of_scene) ** 2)
 
         return axis, power(axis[:, None], axis), folded_spectrum(power, axis, pitch_um, ORDERS)
 
-    return chain.facts.kept(("power", options.content_hash, chain.moving.path_um, *chain.pixel_key), compute)
+    key = "power", options.content_hash, frame.moving.path_um, *frame.imaging.pixel_key
+    return frame.light.cached(key, compute)
 
 
 class Veiled(NamedTuple):
@@ -536,19 +491,19 @@ class Veiled(NamedTuple):
     stray: float
 
 
-def veiled(chain: ImagingChain) -> Veiled:
-    """Return what veiling glare makes of the light of a chain."""
-    facts, physics = chain.facts, chain.physics
-    if not facts.camera.veiling_glare:
+def veiled(frame: ExpectedFrame) -> Veiled:
+    """Return what veiling glare makes of the light of a frame."""
+    camera, physics, light = frame.imaging.camera, frame.physics, frame.light.mean
+    if not camera.veiling_glare:
         return Veiled(1.0, 0.0)
 
     def compute() -> Veiled:
-        light, weight = facts.mean, electrons_per_joule(physics, facts.mean)
-        (of_kept,), (stray,) = split_by_veil(light, facts.camera, [weight])
+        weight = electrons_per_joule(physics, light)
+        (of_kept,), (stray,) = split_by_veil(light, camera, [weight])
         own, kept = (M2_PER_UM2 * float((each * light.mean_spectrum()).sum()) for each in (weight, of_kept))
         return Veiled(kept / own, stray / (kept + stray)) if own else Veiled(1.0, 0.0)
 
-    return chain.facts.kept(("veil", *chain.pixel_key), compute)
+    return frame.light.cached(("veil", *frame.imaging.pixel_key), compute)
 
 
 class MeanLevel(NamedTuple):
@@ -564,40 +519,41 @@ class MeanLevel(NamedTuple):
     variance_e2: float
 
 
-def mean_level(chain: ImagingChain, time_s: float) -> MeanLevel:
+def mean_level(frame: ExpectedFrame) -> MeanLevel:
     """Return the mean level of a frame, weighted with the slopes of its pixels; a share of 0 if all of them are full."""
-    signal_e = chain.signal_e_per_s * time_s
+    signal_e = frame.signal_e
     share, mean_e = 1.0, float(signal_e.ravel().mean())
-    top = top_table(chain, time_s, float(signal_e.max()))
+    top = top_table(frame, float(signal_e.max()))
     if top is not None:
         slope = code_moments([top], signal_e, 0.0).signal_slope
         total = float(slope.sum())
         if not total:
             return MeanLevel(0.0, 0.0, math.inf)
         share, mean_e = total**2 / (slope.size * float((slope**2).sum())), float((slope * signal_e).sum()) / total
-    level_e, variance_e2 = np.array(mean_e), variance_of_pixels_e2(chain, mean_e, time_s)
-    tables = code_tables(chain, time_s, level_e)
+    level_e = np.array(mean_e)
+    variance_e2 = variance_of_pixels_e2(frame.physics, mean_e, frame.integration_s)
+    tables = code_tables(frame, level_e)
     if not tables:
         return MeanLevel(share, mean_e, float(variance_e2))
     moments = code_moments(tables, level_e, variance_e2)
     return MeanLevel(share, float(moments.signal_slope) * mean_e, float(moments.variance_e2))
 
 
-def _information(judged: Judged) -> tuple[float, float, float, float]:
+def _information(judged: FrameUnderTest) -> tuple[float, float, float, float]:
     """Return the information in the mean level of the pixels that are not full, per mm² and deg², and per mm² at other contrasts.
 
     It counts for their share of the sensor. The power of a natural spectrum grows with the square of its contrast.
     """
-    chain, time_s, options = judged.chain, judged.frame.integration_s, judged.options.information
+    frame, options = judged.expected, judged.options.information
     others = options.other_contrasts
-    axis, power, folded = scene_power(chain, options)
-    share, mean_e, variance_e2 = mean_level(chain, time_s)
+    axis, power, folded = scene_power(frame)
+    share, mean_e, variance_e2 = mean_level(frame)
     if not share:
         nothing = math.nan if others is None else 0.0
         return 0.0, 0.0, nothing, nothing
     if options.spectrum == "natural":  # the scene's own picture has its veil
-        mean_e *= 1 - veiled(chain).stray
-    noise = variance_e2 * (1e-3 * chain.physics.read_pitch_um) ** 2
+        mean_e *= 1 - veiled(frame).stray
+    noise = variance_e2 * (1e-3 * frame.physics.read_pitch_um) ** 2
 
     def bits_per_mm2(contrast: float) -> float:
         """Return the information of the whole sensor at a contrast of the scene."""
@@ -607,20 +563,20 @@ def _information(judged: Judged) -> tuple[float, float, float, float]:
 
     bits = bits_per_mm2(options.contrast)
     low, high = (math.nan, math.nan) if others is None else map(bits_per_mm2, others)
-    return bits, bits * (chain.facts.camera.image_distance_mm * math.radians(1.0)) ** 2, low, high
+    return bits, bits * (frame.imaging.camera.image_distance_mm * math.radians(1.0)) ** 2, low, high
 
 
-def neq_along(chain: ImagingChain, time_s: float) -> tuple[Array, Array]:
+def neq_along(frame: ExpectedFrame) -> tuple[Array, Array]:
     """Return frequencies along an axis up to Nyquist, in cycles/mm, and the NEQ of the mean level there, in mm⁻².
 
     Signal, noise and MTF are those of the metric information, of the pixels that are not full; NaN where all of them are.
     """
-    frequency = np.linspace(0.0, 500.0 / chain.physics.read_pitch_um, POINTS)
-    share, mean_e, variance_e2 = mean_level(chain, time_s)
+    frequency = np.linspace(0.0, 500.0 / frame.physics.read_pitch_um, POINTS)
+    share, mean_e, variance_e2 = mean_level(frame)
     if not share:
         return frequency, np.full(POINTS, np.nan)
-    noise = variance_e2 * (1e-3 * chain.physics.read_pitch_um) ** 2
-    return frequency, neq(np.abs(sensor_mtf(chain, frequency, np.zeros(1))), noise, mean_e * (1 - veiled(chain).stray))
+    noise = variance_e2 * (1e-3 * frame.physics.read_pitch_um) ** 2
+    return frequency, neq(np.abs(sensor_mtf(frame, frequency, np.zeros(1))), noise, mean_e * (1 - veiled(frame).stray))
 
 
 INFORMATION = Metric(
@@ -641,19 +597,20 @@ INFORMATION = Metric(
 )
 
 
-def _mtf_along(chain: ImagingChain, along: Array | None = None) -> tuple[Array, Array]:
+def _mtf_along(frame: ExpectedFrame, along: Array | None = None) -> tuple[Array, Array]:
     """Return frequencies in cycles/mm, and the MTF from scene to sensor along the axis of the longer path of what moves."""
-    along = sensor_terms(chain)[0] if along is None else along
-    down, across = map(abs, chain.moving.path_um)
-    return along, np.abs(sensor_mtf(chain, along, np.zeros(1)) if across >= down else sensor_mtf(chain, np.zeros(1), along))
+    along = sensor_terms(frame)[0] if along is None else along
+    down, across = map(abs, frame.moving.path_um)
+    return along, np.abs(sensor_mtf(frame, along, np.zeros(1)) if across >= down else sensor_mtf(frame, np.zeros(1), along))
 
 
-def _mtf50(judged: Judged) -> tuple[float]:
-    along, mtf = _mtf_along(judged.chain)
-    if path_um := judged.chain.moving.longest_um:  # before the first zero of a long path, which the table may leave out
-        along, mtf = _mtf_along(judged.chain, np.linspace(0.0, min(float(along[-1]), 1e3 / path_um), TABLE_POINTS))
-    found = mtf50(along, mtf)
-    return (float(along[-1]) if found is None else found,)
+def _mtf50(judged: FrameUnderTest) -> tuple[float]:
+    frame = judged.expected
+    along, mtf = _mtf_along(frame)
+    if path_um := frame.moving.longest_um:  # before the first zero of a long path, which the table may leave out
+        along, mtf = _mtf_along(frame, np.linspace(0.0, min(float(along[-1]), 1e3 / path_um), TABLE_POINTS))
+    half = mtf50(along, mtf)
+    return (float(along[-1]) if half is None else half,)
 
 
 MTF50 = Metric(
@@ -673,14 +630,15 @@ MTF50 = Metric(
 )
 
 
-def _snr10_lx(judged: Judged) -> tuple[float]:
-    chain, options, physics = judged.chain, judged.options.snr10_lx, judged.chain.physics
-    across = max(1.0, (chain.screen.dot_um or physics.read_pitch_um) / physics.read_pitch_um)
+def _snr10_lx(judged: FrameUnderTest) -> tuple[float]:
+    frame, options = judged.expected, judged.options.snr10_lx
+    physics, development = frame.physics, frame.development
+    across = max(1.0, (development.screen.dot_um or physics.read_pitch_um) / physics.read_pitch_um)
     found = snr10_lx(
-        chain.white_e_per_s * options.integration_s,
-        white_cd_per_m2(chain.facts.mean, chain.screen.display),
+        development.white_e_per_s * options.integration_s,
+        white_cd_per_m2(frame.light.mean, development.screen.display),
         reflectance=options.reflectance,
-        dark_variance_e2=float(variance_of_pixels_e2(chain, 0.0, options.integration_s))
+        dark_variance_e2=float(variance_of_pixels_e2(physics, 0.0, options.integration_s))
         # A dot is the mean of as many offsets of rows, and of columns, as pixels along its side, not as pixels.
         + across * sum(float(np.mean(variance_e2(physics, along=along))) for along in ("column", "row")),
         prnu=physics.prnu,
@@ -712,20 +670,20 @@ SNR10_LX = Metric(
 )
 
 
-def _niirs(judged: Judged) -> tuple[float]:
-    chain, options, time_s = judged.chain, judged.options.niirs, judged.frame.integration_s
-    physics, camera = chain.physics, chain.facts.camera
-    along, mtf = _mtf_along(chain)
+def _niirs(judged: FrameUnderTest) -> tuple[float]:
+    frame, options, time_s = judged.expected, judged.options.niirs, judged.frame.integration_s
+    physics, camera = frame.physics, frame.imaging.camera
+    along, mtf = _mtf_along(frame)
     rer = relative_edge_response(along * 1e-3 * physics.read_pitch_um, mtf)
-    veil = veiled(chain)
-    stray_e = veil.stray * float(chain.signal_e_per_s.mean()) * time_s
-    white_e = veil.kept * chain.white_e_per_s * time_s
+    veil = veiled(frame)
+    stray_e = veil.stray * float(frame.development.signal_e_per_s.mean()) * time_s
+    white_e = veil.kept * frame.white_e
     darker_e, brighter_e = (white_e * reflectance + stray_e for reflectance in sorted(options.reflectances))
-    if brighter_e >= (most_e := full_e(chain, time_s)):
+    if brighter_e >= (most_e := full_e(physics, time_s)):
         got = f"{brighter_e:.3g} e- of the brighter surface in pixels of {physics.pitch_um:g} µm, full at {most_e:.3g} e-"
         allowed = "surfaces that the frame tells apart"
         raise NoNumberError(str(invalid("the metric niirs", got, allowed, "Expose it for less time.")))
-    noise_e2 = float(variance_of_pixels_e2(chain, brighter_e, time_s))
+    noise_e2 = float(variance_of_pixels_e2(physics, brighter_e, time_s))
     noise_e2 += sum(float(np.mean(variance_e2(physics, along=along))) for along in ("column", "row"))
     distance_m = options.ground_distance_m
     reduction = 1 / abs(camera.magnification) if distance_m is None else 1e3 * distance_m / camera.image_distance_mm

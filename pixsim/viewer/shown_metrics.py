@@ -5,27 +5,25 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from importlib.util import find_spec
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pixsim.base.arrays import Array, stream
 from pixsim.base.errors import invalid
-from pixsim.sensor.readout import lasting
+from pixsim.sensor.correction import correct
+from pixsim.sensor.readout import Frame, capture_from_rates, lasting, sample_sensor
+from pixsim.viewer.chain import ExpectedFrame
 from pixsim.viewer.develop_steps import noise_of_expected_e2
 from pixsim.viewer.dot_noise import RawNoise, expected_noise_power
+from pixsim.viewer.frame_under_test import FrameUnderTest
 from pixsim.viewer.judges.non_prewhitening import npwe
 from pixsim.viewer.judges.sharpness import acutance
 from pixsim.viewer.judges.visible_noise import visual_noise
 from pixsim.viewer.metrics import Metric, MetricContext, NoNumberError
 from pixsim.viewer.mtf import mtf_terms
 from pixsim.viewer.raw_metrics import code_moments, code_tables, expected_e, full_e, grey, needs_target, variance_of_pixels_e2
+from pixsim.viewer.score import Score
 from pixsim.viewer.sharpening import unsharp_response
-
-if TYPE_CHECKING:
-    from pixsim.sensor.readout import Frame
-    from pixsim.viewer.judged import Judged
-    from pixsim.viewer.score import ImagingChain, Score
 
 GREY = 0.18  # of white: the patch of visual noise
 FEW_FULL = 0.01  # of the patch's pixels: the noise of more of them is cut off where it shows
@@ -33,22 +31,24 @@ POINTS = 257
 FLIP_PACKAGE = "flip_evaluator"
 
 
-def _acutance(judged: Judged) -> tuple[float]:
-    chain = judged.chain
-    display, facts = chain.screen.display, chain.facts
+def _acutance(judged: FrameUnderTest) -> tuple[float]:
+    frame, imaging, development = judged.expected, judged.imaging, judged.development
+    display, develop, screen = imaging.display, imaging.develop, development.screen
+    pitch_um = development.physics.read_pitch_um
+    mm_per_deg = 1e-3 * display.samples_per_deg * (screen.dot_um or pitch_um)
     frequency = np.linspace(0.0, display.samples_per_deg / 2, POINTS)
-    on_sensor = frequency / judged.mm_per_deg
+    on_sensor = frequency / mm_per_deg
 
     def compute() -> float:
-        of_chain = chain.physics, display, on_sensor, chain.screen.dot_um, chain.moving.longest_um
-        terms = mtf_terms(facts.mean, facts.camera, *of_chain)
-        if chain.develop.sharpens:
-            cy_per_px = 1e-3 * chain.physics.read_pitch_um * on_sensor
-            terms["sharpening"] = unsharp_response(cy_per_px, chain.develop.sharpen_amount, chain.sharpen_px)
+        terms = mtf_terms(imaging, frame.light.mean, on_sensor, screen.dot_um, frame.moving.longest_um)
+        if develop.sharpens:
+            cy_per_px = 1e-3 * pitch_um * on_sensor
+            terms["sharpening"] = unsharp_response(cy_per_px, develop.sharpen_amount, development.sharpen_px)
         return acutance(frequency, np.abs(np.prod(list(terms.values()), axis=0)))
 
-    sharpened = chain.develop.sharpen_amount, chain.sharpen_px if chain.develop.sharpens else 0.0
-    return (facts.kept(("acutance", display.content_hash, *sharpened, chain.moving.path_um, *chain.pixel_key), compute),)
+    sharpened = develop.sharpen_amount, development.sharpen_px if develop.sharpens else 0.0
+    key = "acutance", display.content_hash, *sharpened, frame.moving.path_um, *imaging.pixel_key
+    return (frame.light.cached(key, compute),)
 
 
 ACUTANCE = Metric(
@@ -67,23 +67,29 @@ ACUTANCE = Metric(
 )
 
 
-def _visual_noise(judged: Judged) -> tuple[float]:
-    """Show a frame of an even patch, of the same sensor settings and exposure, in a stream of its own."""
-    chain, time_s = judged.chain, judged.frame.integration_s
-    if chain.develop.denoise == "wiener_bound":
+def _visual_noise(judged: FrameUnderTest) -> tuple[float]:
+    """Show a frame of a uniform patch, of the same sensor settings and exposure, in a stream of its own."""
+    development, imaging, time_s = judged.development, judged.imaging, judged.frame.integration_s
+    correction = imaging.correction
+    if imaging.develop.denoise == "wiener_bound":
         got, hint = "develop.denoise = 'wiener_bound', which knows that its patch is even", "Take 'nlm' or 'wavelet'."
         raise NoNumberError(str(invalid("the metric visual_noise", got, "noise reduction that does not know the picture", hint)))
-    even = np.full(chain.signal_e_per_s.shape, GREY * chain.white_e_per_s)
-    if chain.even is not None and (chain.shading is not None or chain.correction.flat_frames):
-        even *= chain.even  # by which the picture is divided
-    patch = replace(chain, signal_e_per_s=even, exposure=lasting(chain.exposure.steady, time_s))
-    key = (*judged.stream, judged.number, "visual noise")
-    frame = patch.capture_with(stream(*key, "sensor"), stream(*key, "frame"), stream(*key, "correction"))
+    uniform: Array = np.full(judged.frame.dn.shape, GREY * development.white_e_per_s)
+    flat_field = development.flat_field
+    if flat_field is not None and (development.shading is not None or correction.flat_frames):
+        uniform *= flat_field  # by which the picture is divided
+
+    key = (*judged.stream, "visual noise")
+    rows, columns = uniform.shape
+    sensor = sample_sensor(development.physics, (rows, columns), stream(*key, "sensor"))
+    frame = capture_from_rates(uniform, sensor, lasting(development.exposure.steady, time_s), stream(*key, "frame"))
+    if correction.is_on:
+        frame = correct(frame, sensor, correction, stream(*key, "correction"), flat_field, None)
     if frame.saturated_fraction > FEW_FULL:
-        full = f"{frame.saturated_fraction:.0%} of the pixels of {chain.physics.pitch_um:g} µm full"
+        full = f"{frame.saturated_fraction:.0%} of the pixels of {development.physics.pitch_um:g} µm full"
         allowed = f"at most {FEW_FULL:.0%} in a patch of {GREY:.0%} of white, whose noise shows"
         raise NoNumberError(str(invalid("the metric visual_noise", full, allowed, "Expose it for less time.")))
-    return (visual_noise(patch.light(frame), chain.screen.display.samples_per_deg),)
+    return (visual_noise(development.light(frame), imaging.display.samples_per_deg),)
 
 
 VISUAL_NOISE = Metric(
@@ -101,23 +107,25 @@ VISUAL_NOISE = Metric(
 )
 
 
-def _npwe(judged: Judged) -> tuple[float, float]:
+def _npwe(judged: FrameUnderTest) -> tuple[float, float]:
     """Compare the shown light of expected frames of each registration, in the expected spectrum of their noise.
 
     A tone curve is not linear: the noise of this frame says by how much the curve changes it in the band of the target. That is
     the ratio of two periodograms of the same noise, with and without the curve, which scatters much less than either of them.
     """
-    if judged.chain.develop.denoises:
-        got = f"develop.denoise = '{judged.chain.develop.denoiser}', which does other things to a frame than to its mean"
+    develop = judged.imaging.develop
+    if develop.denoises:
+        got = f"develop.denoise = '{develop.denoiser}', which does other things to a frame than to its mean"
         raise NoNumberError(str(invalid("the metric npwe", got, "development that is linear", "Take ΔE, or detectability.")))
     change, values = 1.0, []
-    for chain in judged.chains(judged.options.detectability.registrations):
-        with_target, difference = _expected_light(judged, chain)
-        samples_per_deg, time_s = chain.screen.display.samples_per_deg, judged.time_s(chain)
-        power = expected_noise_power(chain, raw_noise(chain, chain.signal_e_per_s * time_s, time_s))
-        if chain is judged.chain and chain.develop.tone and difference.any():
-            light = chain.light_before_tone(judged.frame)
-            curved = npwe(difference, _periodogram(chain.toned(light) - chain.toned(with_target)), samples_per_deg)
+    for number, frame in enumerate(judged.registrations(judged.options.detectability.registrations)):
+        development = frame.development
+        with_target, difference = _expected_light(judged.frame, frame)
+        samples_per_deg = development.screen.display.samples_per_deg
+        power = expected_noise_power(development, raw_noise(frame, frame.signal_e))
+        if number == 0 and develop.tone and difference.any():
+            light = development.light_before_tone(judged.frame)
+            curved = npwe(difference, _periodogram(development.toned(light) - development.toned(with_target)), samples_per_deg)
             straight = npwe(difference, _periodogram(light - with_target), samples_per_deg)
             if math.isfinite(curved) and 0 < straight < math.inf:  # else codes hide all noise
                 change = curved / straight
@@ -125,15 +133,18 @@ def _npwe(judged: Judged) -> tuple[float, float]:
     return float(np.mean(values)), min(values)
 
 
-def _expected_light(judged: Judged, chain: ImagingChain) -> tuple[Array, Array]:
-    """Return the expected light of the dots before the tone curve, and behind it what the target changes, (H, W) each."""
-    assert chain.without_e_per_s is not None
-    time_s = judged.time_s(chain)
-    with_target, without = (
-        chain.light_before_tone(_expected_frame(judged.frame, chain, expected_e(chain, rate * time_s, time_s), time_s))
-        for rate in (chain.signal_e_per_s, chain.without_e_per_s)
+def _expected_light(drawn: Frame, frame: ExpectedFrame) -> tuple[Array, Array]:
+    """Return the expected light of the dots before the tone curve, and behind it what the target changes, (H, W) each.
+
+    drawn : a frame of the same sensor settings
+    """
+    development = frame.development
+    assert frame.background_e is not None
+    with_target, background = (
+        development.light_before_tone(_as_drawn(drawn, frame, expected_e(frame, signal_e)))
+        for signal_e in (frame.signal_e, frame.background_e)
     )
-    return with_target, np.asarray(chain.toned(with_target) - chain.toned(without), float)
+    return with_target, np.asarray(development.toned(with_target) - development.toned(background), float)
 
 
 def _periodogram(noise: Array) -> Array:
@@ -141,43 +152,47 @@ def _periodogram(noise: Array) -> Array:
     return np.asarray(np.abs(np.fft.fft2(noise - noise.mean(dtype=float))) ** 2)
 
 
-def raw_noise(chain: ImagingChain, signal_e: Array, time_s: float) -> RawNoise:
+def raw_noise(frame: ExpectedFrame, signal_e: Array) -> RawNoise:
     """Return the noise of an expected frame behind its corrections, relative to the scene's white.
 
     Near the ends of the well and of the codes it is what these leave.
 
     signal_e : (rows, columns) of light, before anything clips
     """
-    physics, correction = chain.physics, chain.correction
-    level_e = np.minimum(signal_e, full_e(chain, time_s))
+    physics, time_s, development = frame.physics, frame.integration_s, frame.development
+    correction = frame.imaging.correction
+    level_e = np.minimum(signal_e, full_e(physics, time_s))
     pixel, column, row = noise_of_expected_e2(level_e, physics, time_s, correction)
-    tables = code_tables(chain, time_s, signal_e)
+    tables = code_tables(frame, signal_e)
     if tables:
-        unclipped = variance_of_pixels_e2(chain, level_e, time_s)
+        unclipped = variance_of_pixels_e2(physics, level_e, time_s)
         clipped = code_moments(tables, signal_e, unclipped)
         pixel = np.maximum(pixel - (unclipped - clipped.variance_e2), 0.0)
         of_offsets = float(np.mean(np.square(clipped.offset_slope)))
         column, row = column * of_offsets, row * of_offsets
-    white_e = chain.white_e_per_s * time_s * np.ones(signal_e.shape)
-    if chain.shading is not None:
-        white_e *= chain.shading
-    if chain.even is not None and correction.flat_frames:
-        white_e *= chain.even
+    white_e = frame.white_e * np.ones(signal_e.shape)
+    if development.shading is not None:
+        white_e *= development.shading
+    if development.flat_field is not None and correction.flat_frames:
+        white_e *= development.flat_field
     pixel = pixel / white_e**2
     of_lines = float(np.mean(white_e**-2))
     return RawNoise(pixel, column * of_lines, row * of_lines)
 
 
-def _expected_frame(frame: Frame, chain: ImagingChain, electrons: Array, time_s: float) -> Frame:
-    """Return a frame of a chain with expected electrons (rows, columns) in place of its own, corrected as it is."""
-    corrected = electrons / chain.even if chain.even is not None and chain.correction.flat_frames else electrons
+def _as_drawn(drawn: Frame, frame: ExpectedFrame, electrons: Array) -> Frame:
+    """Return expected electrons (rows, columns) as a frame, corrected as the one that was drawn."""
+    flat_field = frame.development.flat_field
+    corrected = electrons
+    if flat_field is not None and frame.imaging.correction.flat_frames:
+        corrected = electrons / flat_field
     return replace(
-        frame,
+        drawn,
         dn=np.zeros(electrons.shape, np.int32),
         mean_e=electrons,
         corrected_e=corrected.astype(np.float32),
-        integration_s=time_s,
-        registration=chain.physics.registration,
+        integration_s=frame.integration_s,
+        registration=frame.physics.registration,
         saturated=None,
     )
 

@@ -28,8 +28,8 @@ from pixsim.sensor.pixel_options import ABSOLUTE_ZERO_C, NO_TECHNOLOGY, SCALED_W
 from pixsim.sensor.stack_options import StackOptions
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
-from pixsim.viewer.raw_metrics import OF_TARGETS, has_target
+from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.metric_options import METRIC_OPTIONS, OF_TARGETS, MetricOptions, has_target
 from pixsim.viewer.setting import Effort, Run, Setting
 
 WITHIN = 1e-6  # relative, of lengths and temperatures that are equal but for rounding
@@ -71,6 +71,24 @@ class Configuration:
         """Return that of a run."""
         own = run.exposure, run.correction, run.develop, run.display, run.camera, run.lens
         return cls(physics, run.pixel, *own, run, motion=run.motion)
+
+    @classmethod
+    def of_imaging(cls, imaging: Imaging, light: SpectralImage) -> Configuration:
+        """Return that of a call with records, in light that is given."""
+        return cls(
+            imaging.physics,
+            imaging.pixel,
+            imaging.exposure,
+            imaging.correction,
+            imaging.develop,
+            imaging.display,
+            imaging.camera,
+            imaging.camera.lens_options,
+            light=light,
+            metrics=imaging.metrics.names,
+            metric=imaging.metrics.options,
+            motion=imaging.motion,
+        )
 
     @property
     def rules(self) -> tuple[Rule, ...]:

@@ -26,7 +26,7 @@ from pixsim.studies.sampling import study_pitches_um
 from pixsim.studies.study_file import load_study
 from pixsim.studies.study_layers import with_data_sheets
 from pixsim.studies.study_settings import Study
-from pixsim.viewer.score import clip_words, clips_dark, dark_clip
+from pixsim.viewer.dark_clip import clip_words, clips_dark, dark_clip
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import settings_layer
 

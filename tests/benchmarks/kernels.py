@@ -23,6 +23,7 @@ from unittest import mock
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from helpers.chains import imaging
 from helpers.timing import median_s, seconds_of
 
 import pixsim
@@ -35,16 +36,20 @@ from pixsim.optics.lens_options import LensOptions
 from pixsim.scene.charts import csf_value
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import diffracted_rate
-from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.motion_options import Motion
+from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import capture_from_rates, sample_sensor
 from pixsim.viewer import scielab
+from pixsim.viewer.chain import ImagingChain, make_chain
 from pixsim.viewer.demosaic import demosaic
 from pixsim.viewer.denoising.filters import denoised_plane
 from pixsim.viewer.denoising.wiener import wiener_plane
 from pixsim.viewer.display import WHITE_XYZ, frame_luminance
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.score import ImagingChain, PreparedScene, chain_at_pitch, prepare_scene, shown
+from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.scene_light import PreparedScene, SceneLight, prepare_scene
+from pixsim.viewer.screen import display_image
 
 Work = Callable[[], object]
 NM = np.arange(400.0, 701.0, 10.0)
@@ -90,12 +95,14 @@ def targets() -> None:
     row("denoising, wiener_bound, 1024²", 0.1, partial(wiener_plane, raw_e, expected_e, expected_e))
     for method, target in (("wavelet", 0.5), ("nlm", 4.0)):
         row(f"denoising, {method}, 1024²", target, partial(denoised_plane, raw_e, 9.0, method), 3)
-    film, physics, general = chart(1024), derive(Pixel(pitch_um=5.3)), bands(1024)
+    film, general = chart(1024), bands(1024)
+    asked = imaging(CAMERA, Pixel(pitch_um=5.3), EXPOSURE, DISPLAY, single=True)
+    physics = asked.physics
     row("diffraction, 31 bands of one spectrum, 1024²", 0.15, partial(diffracted_rate, film, CAMERA, physics))
     row("diffraction, 31 bands, general, 1024²", 3.0, partial(diffracted_rate, general, CAMERA, physics), 3)
     row("diffraction, 31 bands, general, 512²", None, partial(diffracted_rate, bands(512), CAMERA, physics), 3)
-    light = prepare_scene(film, CAMERA, physics, DISPLAY, single=True)
-    chain = chain_at_pitch(light, physics, EXPOSURE)
+    light = prepare_scene(asked, SceneLight(film))
+    chain = make_chain(asked, light)
     shape, signal = chain.signal_e_per_s.shape, chain.signal_e_per_s
     frame = chain.simulate(0).frame
     white_e = chain.white_e_per_s * frame.integration_s
@@ -113,7 +120,7 @@ def targets() -> None:
     row("display of a frame, 512² on 512 dots", None, show)
 
     def evaluation() -> None:
-        chain_at_pitch(light, physics, EXPOSURE).simulate(1).statistics()
+        make_chain(asked, light).simulate(1).statistics()
 
     row("sense, display, score of a 512² frame", 0.08, evaluation)
 
@@ -146,13 +153,15 @@ def unavoidable(chain: ImagingChain) -> dict[str, Work]:
 def stages(chain: ImagingChain) -> dict[str, Work]:
     """What an evaluation does, in its order: with the unavoidable operations, and with all else."""
     frame, display = chain.capture(1), chain.screen.display
-    score, scratch = chain.score_frame(frame), chain.light(frame)
+    score, scratch = chain.development.score(frame), chain.development.light(frame)
     sensor = chain.sensor(1)
     return {
         "fixed pattern (normals, gamma)": lambda: chain.sensor(1),
         "frame (Poisson, normals)": lambda: chain.capture_by(sensor, stream(1, "frame"), partial(stream, 1, "correction")),
-        "light of the dots": lambda: chain.light(frame),
-        "codes of the dots": lambda: shown(scratch, display, in_place=True),  # of any light: their time does not depend on it
+        "light of the dots": lambda: chain.development.light(frame),
+        "codes of the dots": lambda: display_image(
+            scratch, display, in_place=True
+        ),  # of any light: their time does not depend on it
         "S-CIELAB (DCTs, cube roots)": lambda: chain.screen.delta_e_of(score.image),
         "statistics": score.statistics,
     }
@@ -176,10 +185,10 @@ def parts() -> None:
         "5.3 µm, stack": Pixel(technology="4t-fsi", pitch_um=5.3, stack=LENSED),
     }
     for name, pixel in cases.items():
-        physics = derive(pixel)
-        light = prepare_scene(film, CAMERA, physics, DISPLAY, border_um=max(PITCHES_UM), single=True)
+        asked = imaging(CAMERA, pixel, EXPOSURE, DISPLAY, border_um=max(PITCHES_UM), single=True)
+        light = prepare_scene(asked, SceneLight(film))
         light.store_integrals()
-        chain = chain_at_pitch(light, physics, EXPOSURE)
+        chain = make_chain(asked, light)
         works = {"whole": lambda chain=chain: chain.simulate(1).statistics()} | unavoidable(chain)
         times = turns(works)
         seconds = {name: min(each) for name, each in times.items()}
@@ -240,8 +249,8 @@ def motion() -> None:
     print("\nframes of light that moves, times those of light that stands still: median of turns, and ms of processors")
     film, numbers = chart(1024), itertools.count()
     for pitch_um, frames in product(PITCHES_UM, (1, 8)):
-        physics = derive(Pixel(pitch_um=pitch_um))
-        room = prepare_scene(film, CAMERA, physics, DISPLAY, single=True, border_um=100.0)
+        still = imaging(CAMERA, Pixel(pitch_um=pitch_um), EXPOSURE, DISPLAY, single=True, border_um=100.0)
+        room = prepare_scene(still, SceneLight(film))
         room.store_integrals()
 
         def evaluation(
@@ -249,11 +258,11 @@ def motion() -> None:
             exposure: Exposure,
             frames: int = frames,
             room: PreparedScene = room,
-            physics: PixelPhysics = physics,
+            still: Imaging = still,
         ) -> None:
             longer = 1 + 1e-6 * next(numbers)  # as of another time
             x, y = longer * velocity[0], longer * velocity[1]
-            chain = chain_at_pitch(room, physics, exposure, um_per_s=(x, y))
+            chain = make_chain(still.changed(exposure=exposure, motion=Motion(image_um_per_s=(x, y))), room)
             for frame in range(frames):
                 chain.simulate(frame).statistics()
 
@@ -274,13 +283,13 @@ def colour() -> None:
         display = DISPLAY.model_copy(update={"dots": dots})
         seconds = []
         for pixel in (Pixel(**sheet), Pixel(**sheet, colour=COLOUR)):
-            physics = derive(pixel)
-            light = prepare_scene(film, CAMERA, physics, display, single=True)
+            asked = imaging(CAMERA, pixel, EXPOSURE, display, single=True)
+            light = prepare_scene(asked, SceneLight(film))
             light.store_integrals()
-            chain_at_pitch(light, physics, EXPOSURE).simulate(0)  # the matrix is fitted once a light
+            make_chain(asked, light).simulate(0)  # the matrix is fitted once a light
 
-            def evaluation(light: PreparedScene = light, physics: PixelPhysics = physics) -> None:
-                chain_at_pitch(light, physics, EXPOSURE).simulate(1).statistics()
+            def evaluation(light: PreparedScene = light, asked: Imaging = asked) -> None:
+                make_chain(asked, light).simulate(1).statistics()
 
             seconds.append(median_s(evaluation, 7))
         print(f"{dots:10} dots: {seconds[0]:8.3f} {seconds[1]:8.3f} {seconds[1] / seconds[0]:6.2f}", flush=True)

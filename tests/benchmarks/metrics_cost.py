@@ -14,14 +14,17 @@ import statistics
 import time
 
 import numpy as np
+from helpers.chains import imaging
 
 import pixsim
 from pixsim.light.spectral import SpectralImage
+from pixsim.viewer.chain import make_chain
+from pixsim.viewer.frame_under_test import FrameUnderTest
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.judged import Judged, Judging
 from pixsim.viewer.metric_options import METRIC_OPTIONS
 from pixsim.viewer.metric_registry import metrics_named
-from pixsim.viewer.score import PreparedScene, prepare_scene
+from pixsim.viewer.metrics import MetricRequest
+from pixsim.viewer.scene_light import PreparedScene, SceneLight, prepare_scene
 
 RAW = ["delta_e", "detectability", "information", "mtf50"]
 ASKED = {
@@ -37,23 +40,23 @@ ASKED = {
 def prepared(names: list[str], repeats: int, light: SpectralImage, camera: pixsim.Camera) -> tuple[Imaging, PreparedScene]:
     """What an evaluation begins with: settings, and the light behind the lens."""
     pixel, display = pixsim.Pixel(pitch_um=5.3, black_level_dn=16), pixsim.Display(white_cd_per_m2=1000)
-    judging = Judging(metrics_named(names), METRIC_OPTIONS, repeats)
-    imaging = Imaging(camera, pixel, pixsim.Exposure(), display, judging=judging, single=True, border_um=20.0)
+    judging = MetricRequest(metrics_named(names), METRIC_OPTIONS, repeats)
+    asked = imaging(camera, pixel, display=display, metrics=judging, single=True, border_um=20.0)
     even = np.broadcast_to(light.mean_spectrum().astype(np.float32), (*light.shape[:2], light.wavelength_nm.size))
     without = SpectralImage(
         light.wavelength_nm, light.band_width_nm, light.pitch_um, data=np.ascontiguousarray(even), header=light.header
     )
-    scene = prepare_scene(light, camera, imaging.physics, display, border_um=20.0, single=True, judging=judging, without=without)
+    scene = prepare_scene(asked, SceneLight(light, without))
     scene.store_integrals()
-    return imaging, scene
+    return asked, scene
 
 
-def evaluation_s(imaging: Imaging, scene: PreparedScene, repeat: int) -> float:
+def evaluation_s(asked: Imaging, scene: PreparedScene, repeat: int) -> float:
     """Processor time of one evaluation."""
     start_s = time.process_time()
-    chain = imaging.chain(scene, imaging.registered(repeat))
+    chain = make_chain(asked.registered(repeat), scene)
     frame = chain.capture("benchmark", repeat)
-    Judged(chain, frame, imaging.judging, repeat, ("benchmark",)).statistics()
+    FrameUnderTest.of(chain, frame, repeat, ("benchmark",)).statistics()
     return time.process_time() - start_s
 
 

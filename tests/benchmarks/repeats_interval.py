@@ -22,7 +22,7 @@ from pixsim.base.arrays import Array
 from pixsim.sensor.pixel import spread_registration
 from pixsim.studies.paired import mean_interval, spread_interval
 from pixsim.studies.run import NOISE_SENSORS, RunResult
-from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.chain import make_chain
 
 SIZES_UM, REPEATS, TRUTH = (2.2, 3.0, 6.0), (4, 8), 64
 
@@ -31,16 +31,15 @@ class Trials:
     """Sensors of a run at any registration."""
 
     def __init__(self, result: RunResult) -> None:
-        assert result.chain.made_from is not None
-        self.light, _ = result.chain.made_from
-        self.imaging = Imaging.of(result.settings, result.camera)
+        assert result.chain.scene is not None
+        self.scene, self.imaging = result.chain.scene, result.chain.imaging
 
     def delta_e(self, registrations: list[tuple[float, float]], *key: object) -> Array:
         """Mean ΔE of sensors at these registrations, (sensors,)."""
         values = []
         for number, registration in enumerate(registrations):
             pixel = self.imaging.pixel.model_copy(update={"registration": registration})
-            chain = self.imaging.chain(self.light, replace(self.imaging.physics, pixel=pixel))
+            chain = make_chain(replace(self.imaging, pixel=pixel), self.scene)
             values.append(chain.simulate(*key, number).mean_delta_e)
         return np.array(values)
 

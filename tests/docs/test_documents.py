@@ -24,8 +24,9 @@ from pixsim.sensor.technology import Junction, Technology
 from pixsim.studies.optimum import Optimum
 from pixsim.studies.result import Curve
 from pixsim.studies.study_settings import Study
+from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.score import ImagingChain, Score
+from pixsim.viewer.score import Score
 
 README = ROOT / "README.md"
 PAGES = [README, *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs/gallery").glob("*.md"))]

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 
 import numpy as np
+from helpers.chains import imaging
 from helpers.film_pictures import PIXEL, covered, light
 from scipy.ndimage import zoom
 
@@ -16,12 +17,11 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import LENS_HEADER, Tiling, camera_with_lens
 from pixsim.optics.lens_options import LensOptions
-from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.studies.film_error import delta_e_on_films
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.score import SeenPicture, white_header
+from pixsim.viewer.screen import white_header
 
 BAYER = {"pattern": "rggb", "sensitivities": "Nikon_D5100", "peak_quantum_efficiency": 0.5}
 
@@ -143,7 +143,7 @@ def pictures() -> Iterator[Picture]:
             draw = coloured(draw, (1.0, 0.7, 0.4))
         display = Display(dots=int(rng.choice([96, 128, 200])))
         label = f"{number}: {name}{f' of {samples}' if samples else ''}{', colour' if in_colour else ''}, {film}"
-        yield Picture(label, draw, film, 5 if behind else 6, Imaging(camera, pixel, Exposure(), display))
+        yield Picture(label, draw, film, 5 if behind else 6, imaging(camera, pixel, display=display))
 
 
 def other_sensor(imaging: Imaging) -> Imaging:
@@ -155,6 +155,6 @@ def other_sensor(imaging: Imaging) -> Imaging:
 
 def delta_e_of(films: Sequence[SpectralImage], imaging: Imaging) -> list[float]:
     """The mean ΔE of whole pictures on several films, with the same noise."""
-    white = white_header([SeenPicture(films[0], imaging.camera, imaging.physics)], imaging.display)
+    white = white_header([(imaging, films[0])])
     shown = [film.with_planes(film.whole.planes, header=film.header | white, margin=film.margin) for film in films]
     return delta_e_on_films([[(film, imaging.display)] for film in shown], [[None]] * len(films), imaging).mean(axis=1).tolist()

@@ -10,18 +10,18 @@ HANG_S = 600
 SIGNALLED = """
 import signal
 from pixsim.cli import command
-from pixsim.viewer.score import ImagingChain
+from pixsim.viewer.development import Development
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
-score_frame, started = ImagingChain.score_frame, []
+score, started = Development.score, []
 
 def counted(self, frame):
     started.append(frame)
     if len(started) == {count}:
         signal.raise_signal({signal})
-    return score_frame(self, frame)
+    return score(self, frame)
 
-ImagingChain.score_frame = counted
+Development.score = counted
 command()
 """
 

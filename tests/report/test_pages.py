@@ -28,8 +28,8 @@ from pixsim.show import render
 from pixsim.show.figures import svg_text
 from pixsim.show.sentences import capital
 from pixsim.studies.light_level import LightLevel
-from pixsim.studies.pixels import physics_of
 from pixsim.studies.result import StudyResult
+from pixsim.studies.sampling import imaging_of
 
 RUN = "run csf --variant scalar_spectral --resolution 128 --display.dots 200 --pixel.pitch-um 10.6 --raw png --out"
 TITLE = "<script>alert(1)</script> \"quoted\" & 'Ångström' µm"
@@ -242,8 +242,8 @@ def test_study_page_matches_summary(studied: tuple[StudyResult, Path]) -> None:
     for curve in json.loads((folder / "summary.json").read_text(encoding="utf-8"))["curves"]:
         best, label = curve["optimum"], label_of(curve["technology"])
         assert best["inside"]
-        physics = physics_of(result.study, curve["technology"], best["pitch_um"])
-        blur = blur_words(result.irradiance, result.camera, physics, result.study.display)
+        best_pixel = imaging_of(result.study, result.camera, curve["technology"], best["pitch_um"])
+        blur = blur_words(best_pixel, result.irradiance)
         assert f"Blur of {best['pitch_um']:.2f} µm pixels, {label}. {blur}" in words
         (low, high), (from_um, to_um) = best["interval_um"], best["within_1_percent_um"]
         head = f"{label}: optimal pixel size {best['pitch_um']:.2f} µm (95 %: {low:.2f} to {high:.2f} µm)"

@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from helpers.chains import imaging
 from helpers.looks import grey_look
 from helpers.tiny import PITCHES_UM, TINY
 from matplotlib.axes import Axes
@@ -296,7 +297,7 @@ def test_light_against_detail_has_the_path_of_what_moves(tiny_result: StudyResul
     mtf50, physics = column(plate, "mtf50_lp_per_mm")[2], pixsim.derive(pixel_of(tiny_result.study, "0.35um", 7.0))
     left = system_mtf(tiny_result, physics, np.array(mtf50)) * np.sinc(path_mm[2] * mtf50)
     assert left == pytest.approx(0.5, abs=1e-6)
-    blur = blur_words(moving.irradiance, moving.camera, physics, moving.study.display, 1e3 * path_mm[2])
+    blur = blur_words(imaging(moving.camera, physics.pixel, display=moving.study.display), moving.irradiance, 1e3 * path_mm[2])
     assert f"that of the motion {along[2]:.3f} and that of the photodiode" in blur
 
 

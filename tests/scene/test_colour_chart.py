@@ -8,6 +8,7 @@ from pathlib import Path
 import colour
 import numpy as np
 import pytest
+from helpers.chains import imaging_chain
 
 import pixsim
 from pixsim.base.errors import PixsimError
@@ -19,7 +20,6 @@ from pixsim.scene.colour_chart import MEAN, PRIMARIES, PROJECTOR_M, modulation, 
 from pixsim.viewer.develop import xyz_weights
 from pixsim.viewer.noise_budget import noiseless_frame
 from pixsim.viewer.scielab import OPPONENT_FROM_XYZ, XYZ_FROM_OPPONENT
-from pixsim.viewer.score import make_imaging_chain
 
 RED_GREEN, BLUE_YELLOW = modulation(-XYZ_FROM_OPPONENT[:, 1]), modulation(XYZ_FROM_OPPONENT[:, 2])
 
@@ -111,8 +111,8 @@ def test_white_of_the_chart_is_that_of_its_lamps(written: Path) -> None:
     )
 
     def shown(light: pixsim.SpectralImage) -> np.ndarray:
-        chain = make_imaging_chain(light, camera, pixel, pixsim.Exposure(), pixsim.Display(dots=8))
-        return chain.light(noiseless_frame(chain, 0.01)).mean(axis=(1, 2))
+        chain = imaging_chain(light, camera, pixel, pixsim.Exposure(), pixsim.Display(dots=8))
+        return chain.development.light(noiseless_frame(chain, 0.01)).mean(axis=(1, 2))
 
     assert shown(even) == pytest.approx([MEAN] * 3, rel=1e-4)
     assert np.ptp(shown(even)) < 1e-6

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from helpers.chains import imaging_chain
 from helpers.commands import assert_refused, command
 from helpers.edits import decision, edited, left_out, load
 from scipy.stats import t as student
@@ -21,7 +22,6 @@ from pixsim.scene.plan import UNIFORM_RESOLUTION, decide_saturation, make_plan, 
 from pixsim.scene.renderer import Renderer
 from pixsim.sensor.integration import ideal_rate, integrate_pixels
 from pixsim.sensor.pixel import derive
-from pixsim.viewer.score import make_imaging_chain
 
 PIXELS = [pixsim.Pixel(), pixsim.Pixel(technology="4t-bsi", pitch_um=2.8)]
 LAMPS = ["d65", "a", "fl11", "led_b3", "laser_532nm"]
@@ -226,7 +226,7 @@ def test_decide_stack_says_what_it_left_out_and_the_evaluation_does_it() -> None
     image = pixsim.render(scene, slow, plan=plan)
     assert image.header["spare_e"] == plan.spare_e
     for left, light in ((True, image), (False, pixsim.render(scene, slow, full=True))):
-        made = make_imaging_chain(light, slow, pixel, pixsim.Exposure(), pixsim.Display())
+        made = imaging_chain(light, slow, pixel, pixsim.Exposure(), pixsim.Display())
         assert made.collection is not None
         assert made.collection.is_scale == left
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.chains import imaging_chain
 from helpers.edits import VARIANT
 
 from pixsim import evaluate, load_scene, render
@@ -34,7 +35,6 @@ from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import integration_time_s
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.score import make_imaging_chain
 
 PIXEL = Pixel(pitch_um=6.5)
 THIN = """
@@ -235,7 +235,7 @@ def test_the_brightest_pixel_sets_the_exposure_and_what_lies_beyond_the_circle_i
     thin = without_lens(camera)
     physics, times = derive(pixel), []
     for light, seen in ((image, camera), (render(scene, thin, plan=make_render_plan(scene, thin, pixel)), thin)):
-        chain = make_imaging_chain(light, seen, pixel, Exposure(), Display(dots=48))
+        chain = imaging_chain(light, seen, pixel, Exposure(), Display(dots=48))
         times.append(integration_time_s(Exposure(), physics, float(chain.signal_e_per_s.max())))
         assert chain.capture("x").integration_s == pytest.approx(times[-1], rel=1e-6)
     assert times[0] == pytest.approx(times[1], rel=0.02)  # as much light on the axis, in spite of the dark corners

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.chains import imaging
 
 import pixsim
 from pixsim.light.exr import write_exr
@@ -17,12 +18,11 @@ from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import render
 from pixsim.scene.scene import load_scene, sensor_node
 from pixsim.scene.white_plate import distance_of_plate_m, place_of_plate
-from pixsim.sensor.pixel import derive
 from pixsim.studies.light_level import LightLevel
 from pixsim.viewer.display import white_light
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.merging import merge
-from pixsim.viewer.score import SeenPicture, white_header
+from pixsim.viewer.screen import white_header
 
 BAND_NM = "839:0, 840:0.5, 860:0.5, 861:0"  # W m⁻² nm⁻¹: 10.5 W/m²
 IRRADIANCE = 10.5
@@ -84,9 +84,8 @@ def test_packaged_checker_takes_its_stated_white() -> None:
     """Each of its lamps gives a perfect diffuser 1000 cd/m²."""
     scene = load_scene("macbeth", resolution=16)
     light = render(scene, diffuser=True)
-    white = white_header(
-        [SeenPicture(light, pixsim.Camera(), derive(pixsim.Pixel()))], Display(white="diffuser", diffuser_reflectance=0.5)
-    )
+    display = Display(white="diffuser", diffuser_reflectance=0.5)
+    white = white_header([(imaging(pixsim.Camera(), pixsim.Pixel(), display=display), light)])
     assert white["luminance_cd_per_m2"] == pytest.approx(500, rel=1e-4)
 
 

@@ -30,7 +30,7 @@ from pixsim.sensor.readout import (
     least_black_level_dn,
     sample_sensor,
 )
-from pixsim.viewer.score import dark_clip
+from pixsim.viewer.dark_clip import dark_clip
 
 COUNT, TIME_S, SIGMAS = 8, 0.04, 5.0
 SHAPE = 1000, 200  # rows and columns; rows are independent but for the offsets of columns

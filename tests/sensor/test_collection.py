@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.chains import imaging_chain
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError
@@ -43,9 +44,9 @@ from pixsim.studies.cases import cases_of
 from pixsim.studies.pixels import physics_of
 from pixsim.studies.sampling import study_pitches_um
 from pixsim.studies.study_settings import Study
+from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.merging import merge
-from pixsim.viewer.score import ImagingChain, make_imaging_chain
 
 CAMERA = Camera(die_mm=0.48, f_number=2.0)
 WIDE = Camera(die_mm=0.48, focal_length_mm=0.4, f_number=2.0)  # 40° in the corners
@@ -74,7 +75,7 @@ def detailed_picture(side: int = 96) -> SpectralImage:
 
 def chain(pixel: Pixel, image: SpectralImage | None = None, camera: Camera = CAMERA, **settings: Any) -> ImagingChain:
     display = Display(white_cd_per_m2=1e4, raster="one_to_one", **settings.pop("display", {}))
-    return make_imaging_chain(image or even_picture(), camera, pixel, Exposure(), display, **settings)
+    return imaging_chain(image or even_picture(), camera, pixel, Exposure(), display, **settings)
 
 
 def test_without_a_stack_nothing_changes() -> None:
@@ -85,7 +86,7 @@ def test_without_a_stack_nothing_changes() -> None:
     assert collection_of(physics, light, (4, 4)) is None
     assert collecting_area_um2(image, CAMERA, physics) == physics.photodiode_area_um2
     found = chain(pixel, image)
-    assert found.shading is None
+    assert found.development.shading is None
     np.testing.assert_array_equal(found.signal_e_per_s, mean_signal_rate(image, CAMERA, physics))
     assert integrate_pixels(rate, image.pitch_um, 6.0, physics.photodiode_side_um).shape == found.signal_e_per_s.shape
 
@@ -97,11 +98,11 @@ def test_flat_field_is_conserved(name: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         found, raw = (chain(pixel, camera=camera, display={"shading_correction": on}) for on in (True, False))
-    assert found.even is not None
-    flat = found.signal_e_per_s / found.even
+    assert found.development.flat_field is not None
+    flat = found.signal_e_per_s / found.development.flat_field
     assert np.ptp(flat) <= 1e-12 * flat.max()
-    assert raw.shading is None
-    assert np.ptp(found.even) > (1e-2 if "shift" not in STACKS[name] else 1e-6)  # there is shading
+    assert raw.development.shading is None
+    assert np.ptp(found.development.flat_field) > (1e-2 if "shift" not in STACKS[name] else 1e-6)  # there is shading
     white = found.white_e_per_s / flat.mean()  # over the picture's light, which is the same at every pixel
     plain = chain(Pixel(**QUIET), camera=camera)
     assert white == pytest.approx(plain.white_e_per_s / plain.signal_e_per_s.mean(), rel=1e-11)
@@ -145,7 +146,7 @@ def test_directions_of_a_table_reach_signal_shading_and_plan() -> None:
         WIDE.model_copy(update={"chief_ray_angle": table}) for table in (((0.0, 0.0), (1.0, 0.0)), ((0.0, 0.0), (0.34, 50.0)))
     )
     pixel = Pixel(**QUIET, stack=LENS)
-    thin, even, shaded = (chain(pixel, camera=camera).even for camera in (WIDE, flat, steep))
+    thin, even, shaded = (chain(pixel, camera=camera).development.flat_field for camera in (WIDE, flat, steep))
     assert thin is not None
     assert even is not None
     assert shaded is not None
@@ -183,8 +184,8 @@ def test_stack_that_loses_nothing_is_left_out_within_its_bound(fields: dict[str,
     assert whole.collection is not None
     assert found.collection.is_scale
     assert not whole.collection.is_scale
-    assert found.shading is None
-    assert whole.shading is not None
+    assert found.development.shading is None
+    assert whole.development.shading is not None
     assert found.white_e_per_s == pytest.approx(whole.white_e_per_s, rel=1e-12)
     error = np.abs(found.signal_e_per_s - whole.signal_e_per_s).max() / whole.signal_e_per_s.max()
     assert bound / 100 < error <= bound
@@ -210,10 +211,10 @@ def test_shading_correction_divides_frame_and_noise() -> None:
     on, off = (chain(pixel, camera=camera, display={"shading_correction": flag}) for flag in (True, False))
     frame = off.capture("x")
     np.testing.assert_array_equal(frame.dn, on.capture("x").dn)
-    assert off.even is not None
-    shown, raw = (item.light(frame) for item in (on, off))
-    np.testing.assert_allclose(shown, raw / off.even, rtol=1e-6)
-    assert off.even.min() < 0.9
+    assert off.development.flat_field is not None
+    shown, raw = (item.development.light(frame) for item in (on, off))
+    np.testing.assert_allclose(shown, raw / off.development.flat_field, rtol=1e-6)
+    assert off.development.flat_field.min() < 0.9
 
 
 def test_flat_frames_remove_the_shading_instead() -> None:
@@ -221,16 +222,16 @@ def test_flat_frames_remove_the_shading_instead() -> None:
     pixel = Pixel(**QUIET, dsnu=0.0, offset_fpn=0.0, column_fpn=0.0, black_level_dn=50.0, stack=STACKS["lens"])
     camera = WIDE
     found = chain(pixel, camera=camera, correction=Correction(flat_frames=100, dark_frames=100))
-    assert found.shading is None
-    assert found.even is not None
+    assert found.development.shading is None
+    assert found.development.flat_field is not None
     frame = found.capture("flat")
     shown = frame.electrons / frame.integration_s / found.white_e_per_s
-    even = float((found.signal_e_per_s / found.even).mean() / found.white_e_per_s)
+    even = float((found.signal_e_per_s / found.development.flat_field).mean() / found.white_e_per_s)
     spread = shown.std() / math.sqrt(shown.size)
     assert abs(shown.mean() - even) < 5 * spread + 1e-4 * even  # the mean of the flat frames, 640 000 values of 1 %
-    edge = found.even < np.quantile(found.even, 0.2)
+    edge = found.development.flat_field < np.quantile(found.development.flat_field, 0.2)
     assert abs(shown[edge].mean() / shown[~edge].mean() - 1) < 5e-3  # their collections differ by more than 10 %
-    assert found.even[edge].mean() / found.even[~edge].mean() < 0.9
+    assert found.development.flat_field[edge].mean() / found.development.flat_field[~edge].mean() < 0.9
 
 
 def test_efficiency_of_the_whole_pixel_is_not_counted_twice() -> None:

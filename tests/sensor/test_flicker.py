@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from helpers.chains import imaging_chain
 from scipy.integrate import quad
 
 from pixsim.base.errors import PixsimError
@@ -18,7 +19,6 @@ from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import capture, capture_from_rates, make_sensor
 from pixsim.sensor.stages import stage_words
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.noise_budget import FLICKER, noise_budget
 from pixsim.viewer.setting import Run
 
@@ -116,13 +116,10 @@ def test_budget_has_a_line_for_flicker() -> None:
         Camera(die_mm=0.4),
         Exposure(integration_s=0.004, flicker_hz=HZ, flicker_depth=DEPTH, flicker_phase_deg=180.0),
     )
-    imaging = Imaging(camera, PIXEL, exposure, Display(white_cd_per_m2=100.0, dots=100))
-    prepared = imaging.light(picture())
-    found, steady = (
-        noise_budget(picture(), camera, each.physics, prepared, each.chain(prepared), "budget")
-        for each in (imaging, Imaging(camera, PIXEL, exposure.steady, imaging.display))
-    )
-    assert found.mean_delta_e == imaging.chain(prepared).simulate("budget").mean_delta_e
+    display = Display(white_cd_per_m2=100.0, dots=100)
+    chains = [imaging_chain(picture(), camera, PIXEL, lamp, display) for lamp in (exposure, exposure.steady)]
+    found, steady = (noise_budget(chain, picture(), "budget") for chain in chains)
+    assert found.mean_delta_e == chains[0].simulate("budget").mean_delta_e
     assert found.delta_e.pop(FLICKER) == pytest.approx(found.mean_delta_e - steady.mean_delta_e, abs=1e-9)
     assert found.mean_delta_e > 2 * steady.mean_delta_e
     assert (found.delta_e, found.electrons_e) == (steady.delta_e, steady.electrons_e)

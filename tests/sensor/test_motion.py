@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.chains import imaging
 from helpers.tiny import tiny
 from scipy.optimize import brentq
 from scipy.special import erf
@@ -31,7 +32,7 @@ from pixsim.studies.preparation import prepare
 from pixsim.studies.sampling import border_on_um
 from pixsim.studies.study_settings import Study
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.score import evaluate, scored_border_um
+from pixsim.viewer.evaluate import evaluate
 from pixsim.viewer.setting import Run
 
 
@@ -253,12 +254,12 @@ def test_units_of_one_velocity_leave_the_same_room() -> None:
     colour = {"pattern": "quad_rggb", "sensitivities": "Sony_ILCE-7M4", "peak_quantum_efficiency": 0.6, "binning": True}
     pixel, camera, exposure = Pixel(technology="4t-bsi", pitch_um=4.0, colour=colour), Camera(), Exposure(integration_s=1e-3)
     each = Motion(pixels_per_s=(1e4, 0.0)), Motion(image_um_per_s=(4e4, 0.0))
-    first, other = (scored_border_um(derive(pixel), motion, exposure, camera) for motion in each)
+    first, other = (imaging(camera, pixel, exposure, motion=motion).scored_border_um for motion in each)
     assert first == other == pytest.approx(derive(pixel).as_read.border_um + 20.0)
     # The lines of a rolling shutter are those that are read: half as many.
     rolling = exposure.model_copy(update={"shutter": "rolling", "line_time_us": 1.0})
     lines = 1e3 * camera.height_mm / 8.0
-    found = scored_border_um(derive(pixel), Motion(image_um_per_s=(4e4, 0.0)), rolling, camera)
+    found = imaging(camera, pixel, rolling, motion=Motion(image_um_per_s=(4e4, 0.0))).scored_border_um
     assert found == pytest.approx(derive(pixel).as_read.border_um + 20.0 + 0.04 * lines / 2)
     study = Study(
         name="a", exposure=rolling, motion=Motion(image_um_per_s=(4e4, 0.0)), technologies=["4t-bsi"],

@@ -21,7 +21,7 @@ from pixsim.sensor.noise import SOURCES, NoiseSource
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import NUMBERS, Pixel
 from pixsim.sensor.readout import dark_spread_e, frame_variance_dn2, read_out, sample_sensor
-from pixsim.viewer.score import dark_clip
+from pixsim.viewer.dark_clip import dark_clip
 
 SHEET = {"pitch_um": 5.0, "full_well_e": 4e4, "read_noise_e": 2.0, "dark_current_e_per_s": 0.0, "quantum_efficiency": 0.5}
 SHEET |= {"bits": 14, "black_level_dn": 500.0, "gain_e_per_dn": 0.5}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from helpers.chains import imaging, scene_of
 
 import pixsim
 from pixsim.base.errors import PixsimError
@@ -23,11 +24,12 @@ from pixsim.sensor.integration import (
 )
 from pixsim.sensor.pixel import CENTRED, derive, spread_registration
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.viewer.chain import make_chain
 from pixsim.viewer.display import on_dots
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.evaluate import evaluate
 from pixsim.viewer.noise_budget import noiseless_frame
-from pixsim.viewer.score import PreparedScene, chain_at_pitch, evaluate, prepare_scene
+from pixsim.viewer.scene_light import PreparedScene
 
 CAMERA, DISPLAY = Camera(die_mm=2.7136), Display(white_cd_per_m2=1000.0)
 LONG = Exposure(integration_s=0.03)
@@ -140,16 +142,15 @@ def expected_delta_e(light: PreparedScene, pitch_um: float, repeats: int, displa
     found = []
     for repeat in range(repeats):
         pixel = Pixel(pitch_um=pitch_um, infrared_cut_nm=700.0)
-        physics = Imaging(CAMERA, pixel, LONG, display).registered(repeat)
-        chain = chain_at_pitch(light, physics, LONG)
-        found.append(chain.score_frame(noiseless_frame(chain, 0.03)).mean_delta_e)
+        chain = make_chain(imaging(CAMERA, pixel, LONG, display).registered(repeat), light)
+        found.append(chain.development.score(noiseless_frame(chain, 0.03)).mean_delta_e)
     return float(np.mean(found))
 
 
 @pytest.fixture(scope="module")
 def light() -> PreparedScene:
     display = DISPLAY.model_copy(update={"dots": 128})
-    return prepare_scene(chart(512), CAMERA, derive(Pixel(infrared_cut_nm=700.0)), display, border_um=40.0)
+    return scene_of(chart(512), CAMERA, Pixel(infrared_cut_nm=700.0), display, border_um=40.0)
 
 
 def test_one_pixel_column_less_makes_no_step(light: PreparedScene) -> None:
@@ -159,9 +160,9 @@ def test_one_pixel_column_less_makes_no_step(light: PreparedScene) -> None:
     """
     display, edge_um = light.screen.display, 2713.6 / 100
     below, above = (expected_delta_e(light, edge_um * (1 + side * 1e-6), 8, display) for side in (-1, 1))
-    pixels = (derive(Pixel(pitch_um=edge_um * (1 + side * 1e-6), infrared_cut_nm=700.0)) for side in (-1, 1))
-    chains = [chain_at_pitch(light, physics, LONG) for physics in pixels]
-    centred = [chain.score_frame(noiseless_frame(chain, 0.03)).mean_delta_e for chain in chains]
+    pixels = (Pixel(pitch_um=edge_um * (1 + side * 1e-6), infrared_cut_nm=700.0) for side in (-1, 1))
+    chains = [make_chain(imaging(CAMERA, pixel, LONG), light) for pixel in pixels]
+    centred = [chain.development.score(noiseless_frame(chain, 0.03)).mean_delta_e for chain in chains]
     assert abs(above / below - 1) < 5e-4
     assert abs(centred[1] / centred[0] - 1) > 5e-4
 
@@ -185,7 +186,7 @@ def test_repeats_of_a_study_have_their_registrations(tmp_path: object) -> None:
     for pitch_um in (PITCHES_UM[0], PITCHES_UM[-1]):
         scores = result.scores(result.curves[0].technology, pitch_um)
         assert [score.frame.registration for score in scores] == [(y, x) for x, y in map(spread_registration, range(3))]
-    assert Imaging(CAMERA, Pixel(), LONG, Display(raster="one_to_one")).registered(1).registration == CENTRED
+    assert imaging(CAMERA, Pixel(), LONG, Display(raster="one_to_one")).registered(1).physics.registration == CENTRED
     stated = derive(Pixel(registration=(0.1, 0.2)))
     assert stated.registered(1).registration == (0.2, 0.1)
 

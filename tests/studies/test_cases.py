@@ -31,8 +31,8 @@ from pixsim.studies.preparation import prepare
 from pixsim.studies.result import StudyResult
 from pixsim.studies.study_file import load_study
 from pixsim.studies.study_settings import Study
+from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.merging import merge
-from pixsim.viewer.score import ImagingChain
 
 LIGHT = "scene.parameters.luminance_cd_per_m2"
 FEW_UM = [5.3, 6.0, 7.0, 8.5, 11.0]
@@ -379,13 +379,13 @@ def test_study_lights_are_done_one_after_the_other_in_little_memory(tmp_path: Pa
 
     watched: dict[str, Callable[[Any], Any] | None] = {
         "pixsim.scene.renderer.Renderer.image": lambda image: image.factors[1],
-        "pixsim.viewer.score.prepare_scene": lambda light: light.rate_e_per_s_um2,
+        "pixsim.viewer.scene_light.prepare_scene": lambda light: light.rate_e_per_s_um2,
         "pixsim.studies.study.curve_of": None,
         "pixsim.studies.evaluations.evaluate_task": None,
     }
     for place, replacement in {place: recorded(place, large) for place, large in watched.items()}.items():
         monkeypatch.setattr(place, replacement)
-    monkeypatch.setattr("pixsim.viewer.score.SCENE_CACHE_BYTES", 1)
+    monkeypatch.setattr("pixsim.viewer.scene_light.SCENE_CACHE_BYTES", 1)
     most = []
     for count in (2, 4):
         result = pixsim.study(small(axis=[LIGHTS | {"count": count}]), tmp_path / str(count), jobs=1)

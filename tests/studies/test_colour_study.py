@@ -29,7 +29,7 @@ from pixsim.studies.study_file import load_study
 from pixsim.studies.study_settings import Study
 from pixsim.viewer.merging import merge
 from pixsim.viewer.scielab import XYZ_FROM_OPPONENT
-from pixsim.viewer.score import check_one_ideal
+from pixsim.viewer.screen import check_one_ideal
 
 SMALL: dict[str, Any] = {
     **{"name": "filters", "technologies": ["4t-bsi"], "repeats": 2, "resolution": COARSE, "camera": {"die_mm": 0.2}},

@@ -139,12 +139,12 @@ def test_results_of_task_error_is_not_retried(jobs: int) -> None:
 
 def library_threads(_: int, __: object) -> int:
     """Threads that NumPy's and SciPy's libraries have started, after an evaluation of a picture large enough for them."""
-    from pixsim.viewer.score import make_imaging_chain
+    from helpers.chains import imaging_chain
 
     picture = np.random.default_rng(0).random((1, 768, 768)).astype(np.float32)
     image = pixsim.SpectralImage(np.array([550.0]), 10.0, 2.65, factors=(np.ones((1, 1)), picture))
     image.header["luminance_cd_per_m2"] = 1000.0
-    make_imaging_chain(image, pixsim.Camera(), pixsim.Pixel(), pixsim.Exposure(), pixsim.Display()).simulate("threads")
+    imaging_chain(image, pixsim.Camera(), pixsim.Pixel(), pixsim.Exposure(), pixsim.Display()).simulate("threads")
     all_threads = {int(task.name) for task in Path("/proc/self/task").iterdir()}
     return len(all_threads - {thread.native_id for thread in threading.enumerate()})
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from helpers.chains import imaging as imaging_record
 from helpers.film_judges import Picture, delta_e_of, other_sensor, pictures
 from helpers.film_pictures import CAMERA, JUDGES, PIXEL, SCENES, SET_CELLS, WIDTH, cells, light
 
@@ -28,7 +29,7 @@ def stated_and_true(
     fine: SpectralImage, times: Sequence[int], camera: Camera, pixel: Pixel, display: Display
 ) -> list[tuple[float, float]]:
     """The stated error of each film, and that against a film of `times` as many samples across."""
-    imaging = Imaging(camera, pixel, Exposure(), display)
+    imaging = imaging_record(camera, pixel, Exposure(), display)
     films = [coarser(fine, each) for each in times]
     *delta_e, truth = delta_e_of([*films, fine], imaging)
     return [(measure_film(film, [imaging]).largest_delta_e, abs(own - truth)) for film, own in zip(films, delta_e, strict=True)]
@@ -210,7 +211,7 @@ def test_finer_films_of_chart_find_its_error_closer_than_even_samples() -> None:
     """Its texels are as wide as samples, but it is linear between them: the light within a sample is not even."""
     texels = np.random.default_rng(8).choice([0.3, 0.7], (192, 192))
     chart, pixel, display = Chart(texels, (1.0, 1.0), (192, 192)), PIXEL.model_copy(update={"pitch_um": 12.5}), Display(dots=96)
-    film, imaging = light(chart.picture()), Imaging(CAMERA, pixel, Exposure(), display)
+    film, imaging = light(chart.picture()), imaging_record(CAMERA, pixel, Exposure(), display)
     fine = light(replace(chart, shape=(1152, 1152), texels_per_sample=(1 / 6, 1 / 6)).picture())
     on_film, truth = delta_e_of([film, fine], imaging)
     true = abs(on_film - truth)

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from helpers.chains import imaging as imaging_record
 from helpers.film_pictures import CAMERA, PIXEL, light
 from scipy.ndimage import gaussian_filter
 
@@ -45,7 +46,7 @@ def behind_a_lens(smooth_cells: float) -> tuple[SpectralImage, Imaging]:
     camera = camera_with_lens(Camera(die_mm=2.4, object_distance_m=5.0), CameraOptions(), options)
     image = light(gaussian_filter(texture(96, 4), smooth_cells), camera)
     image.header.update({LENS_HEADER: asdict(Tiling(300.0, 160.0, 0.0))})
-    return image, Imaging(camera, PIXEL.model_copy(update={"pitch_um": 12.5}), Exposure(), Display(dots=96))
+    return image, imaging_record(camera, PIXEL.model_copy(update={"pitch_um": 12.5}), Exposure(), Display(dots=96))
 
 
 @pytest.mark.parametrize("most", [1, None], ids=["parts", "whole"])
@@ -85,7 +86,7 @@ def test_films_of_a_part_behind_a_real_lens_have_one_psf() -> None:
 def test_measure_film_parts_agree_with_whole(monkeypatch):
     """Of a statistically uniform texture, within the stated error of the mean over parts."""
     image = light(texture(128, 4))
-    imaging = Imaging(CAMERA, PIXEL.model_copy(update={"pitch_um": 9.4}), Exposure(), Display(dots=128))
+    imaging = imaging_record(CAMERA, PIXEL.model_copy(update={"pitch_um": 9.4}), Exposure(), Display(dots=128))
     whole = measure_film(image, [imaging])
     monkeypatch.setattr("pixsim.studies.film_error.MEASURED", 1 << 16)
     parts = measure_film(image, [imaging])
@@ -101,7 +102,7 @@ def test_measure_film_at_gain_is_that_of_the_amplified_pixel():
     amplified = own.pixel.model_copy(update={"gain_e_per_dn": own.full_well_e / own.pixel.codes_dn / g})
     cases = (own.pixel, 40.0), (amplified, 0.0), (own.pixel, 0.0)
     at_gain, same, plain = (
-        measure_film(light(texture(64, 4)), [Imaging(CAMERA, pixel, Exposure(gain_db=gain_db), Display(dots=64))])
+        measure_film(light(texture(64, 4)), [imaging_record(CAMERA, pixel, Exposure(gain_db=gain_db), Display(dots=64))])
         for pixel, gain_db in cases
     )
     assert at_gain.tolerated_delta_e == pytest.approx(same.tolerated_delta_e, rel=1e-6)
@@ -112,7 +113,7 @@ def test_measure_film_at_gain_is_that_of_the_amplified_pixel():
 def test_film_error_behind_a_denoiser_that_adapts_is_that_behind_the_linear_bound():
     image, pixel = light(texture(64, 4)), PIXEL.model_copy(update={"pitch_um": 50.0})
     denoised, bound, raw = (
-        measure_film(image, [Imaging(CAMERA, pixel, Exposure(), Display(dots=32), develop=Develop(denoise=name))])
+        measure_film(image, [imaging_record(CAMERA, pixel, Exposure(), Display(dots=32), develop=Develop(denoise=name))])
         for name in ("nlm", "wiener_bound", "none")
     )
     assert denoised == bound
@@ -120,7 +121,7 @@ def test_film_error_behind_a_denoiser_that_adapts_is_that_behind_the_linear_boun
 
 
 def test_measure_film_too_small_is_unknown():
-    film = measure_film(light(np.ones((32, 32))), [Imaging(CAMERA, PIXEL, Exposure(), Display(dots=32))])
+    film = measure_film(light(np.ones((32, 32))), [imaging_record(CAMERA, PIXEL, Exposure(), Display(dots=32))])
     assert math.isnan(film.largest_delta_e)
     assert not film.met
     assert film.as_dict()["delta_e"] is None

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from helpers.chains import imaging
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
@@ -229,7 +230,7 @@ def test_mtf_terms_of_a_stack() -> None:
     stacked = derive(pixel.model_copy(update={"stack": StackOptions(**STACK, microlens="square", crosstalk=0.2)}))
     product = math.prod(float(shared[name][1]) for name in ("lens", "microlens", "crosstalk"))
     assert float(system_mtf(result, stacked, nyquist)[1]) == pytest.approx(product, rel=1e-12)
-    words = blur_words(result.irradiance, result.camera, stacked, result.study.display)
+    words = blur_words(imaging(result.camera, stacked.pixel, display=result.study.display), result.irradiance)
     named = r"the MTF of the lens is 0\.\d+, that of the microlens 0\.\d+ and that of the crosstalk 0\.\d+: together"
     assert re.search(named, words)
 
@@ -237,17 +238,18 @@ def test_mtf_terms_of_a_stack() -> None:
 def test_blur_words_hold_the_terms() -> None:
     result, pixel = chen2000()
     light, camera, display = result.irradiance, result.camera, result.study.display
-    words = blur_words(light, camera, derive(pixel), display)
+    asked = imaging(camera, pixel, display=display)
+    words = blur_words(asked, light)
     at = 1e3 / (4 * 6.5)  # no chart: half the Nyquist frequency
-    terms = mtf_terms(light, camera, derive(pixel), display, np.array(at))
+    terms = mtf_terms(asked, light, np.array(at))
     assert words.startswith("At 38.5 lp/mm, half the Nyquist frequency of 6.5 µm pixels, ")
     for item in terms.values():
         assert f"{float(item):.3f}" in words
     sensor, shown = 1 - float(terms["lens"] * terms["photodiode"]), 1 - float(terms["interpolation"] * terms["dot"])
     assert re.findall(r"contrast by (?:another )?(\d+) %", words) == [f"{100 * sensor:.0f}", f"{100 * shown:.0f}"]
     light.header.update({"scene": "csf.xml"})
-    assert blur_words(light, camera, derive(pixel), display).startswith("At 33.3 lp/mm, the highest frequency of the chart, ")
-    pixels = blur_words(light, camera, derive(pixel), display.model_copy(update={"raster": "one_to_one"}))
+    assert blur_words(asked, light).startswith("At 33.3 lp/mm, the highest frequency of the chart, ")
+    pixels = blur_words(asked.changed(display=display.model_copy(update={"raster": "one_to_one"})), light)
     assert pixels.endswith("reduces it no further.")
 
 
@@ -257,11 +259,12 @@ def test_blur_words_name_the_real_lens() -> None:
     camera = camera_with_lens(Camera(object_distance_m=5.0), CameraOptions(), LensOptions(file="singlet", focal_length_mm=12.0))
     light, display = result.irradiance, result.study.display
     light.header.update({LENS_HEADER: asdict(Tiling(300.0, 80.0, 0.0))})
-    terms = mtf_terms(light, camera, derive(pixel), display, np.array(30.0))
-    thin = mtf_terms(light, without_lens(camera), derive(pixel), display, np.array(30.0))
+    asked = imaging(camera, pixel, display=display)
+    terms = mtf_terms(asked, light, np.array(30.0))
+    thin = mtf_terms(asked.changed(camera=without_lens(camera)), light, np.array(30.0))
     assert list(terms) == ["real lens", *list(thin)[1:]]
     assert 0.01 < float(terms["real lens"]) < 0.7 * float(thin["lens"])
-    assert re.search(r"the MTF of the real lens is 0\.\d+ and that of", blur_words(light, camera, derive(pixel), display))
+    assert re.search(r"the MTF of the real lens is 0\.\d+ and that of", blur_words(asked, light))
 
 
 def test_mtf_terms_dark_picture_uses_equal_light() -> None:

@@ -32,7 +32,7 @@ from pixsim.studies.sampling import study_pitches_um
 from pixsim.studies.sentences import optimum_line, optimum_words
 from pixsim.studies.study_file import load_study
 from pixsim.studies.study_settings import Study
-from pixsim.viewer.score import SCENE_CACHE_BYTES
+from pixsim.viewer.scene_light import SCENE_CACHE_BYTES
 from pixsim.viewer.setting import Run
 
 SHEET = {"pitch_um": 3.45, "full_well_e": 11000, "read_noise_e": 2.2, "dark_current_e_per_s": 5, "quantum_efficiency": 0.62}

@@ -24,7 +24,6 @@ from pixsim.studies.result import StudyResult
 from pixsim.studies.sampling import imaging_of
 from pixsim.studies.sentences import optimum_line
 from pixsim.studies.study_file import load_study
-from pixsim.viewer.score import SceneCache
 
 OWN = {"repeats": 3, "seed": 1}
 TINY_TOML = tiny_toml(**OWN)
@@ -118,7 +117,7 @@ def test_study_truncated_file_is_completed(
     kept = whole[: len(whole) - cut_bytes]
     (tmp_path / "results.csv").write_bytes(kept)
     if not cut_bytes:
-        monkeypatch.setattr(SceneCache, "ideal", lambda *_: pytest.fail("an ideal image was computed"))
+        monkeypatch.setattr("pixsim.viewer.scene_light.ideal_facts", lambda *_: pytest.fail("an ideal image was computed"))
     again = pixsim.study(tiny(), tmp_path, jobs=1)
     assert (tmp_path / "results.csv").read_bytes() == whole
     assert len(evaluations) == 18 - (kept.count(b"\n") - 1)

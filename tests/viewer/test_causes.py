@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.chains import imaging
 from helpers.runs import run_result
 from helpers.sheets import sheet
 from helpers.tiny import tiny
@@ -26,13 +27,13 @@ from pixsim.scene.plan import make_plan
 from pixsim.scene.scene import load_scene
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.outside import OUTSIDE, outside_header, outside_share
-from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.show.render import text
 from pixsim.studies.sentences import optimum_line, unsure_words
-from pixsim.viewer.causes import NOTHING, Cause, causes_of, lightness_range, tells_nothing
+from pixsim.viewer.causes import causes_of, lightness_range, tells_nothing
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.light_error import LightError
+from pixsim.viewer.light_error import NOTHING, Cause, LightError
 
 SCENE = """<scene version="3.0.0">
     <default name="fov" value="38.594975"/><default name="resolution" value="32"/>
@@ -52,7 +53,27 @@ SCENE = """<scene version="3.0.0">
     <emitter type="point"><point name="position" x="0" y="0.5" z="-1"/>LAMP</emitter>
 </scene>"""
 NM = np.arange(405.0, 700.0, 10.0)
+STEADY = Exposure()
 FLAT = derive(Pixel(pitch_um=5.0, technology="4t-bsi", quantum_efficiency=0.5))  # no infrared cut: of every photon a half
+
+
+def causes_in(
+    header: dict[str, Any],
+    display: Display,
+    physics: PixelPhysics,
+    white_e: float,
+    integration_s: float,
+    lightness: tuple[float, float],
+    saturated_fraction: float = 0.0,
+    exposure: Exposure = STEADY,
+) -> tuple[Cause, ...]:
+    """The causes of a frame of pixels whose numbers may be changed."""
+    asked = imaging(CAMERA, physics.pixel, exposure, display)
+    vars(asked)["readout"] = physics
+    numbers = {"white_e": white_e, "integration_s": integration_s, "lightness": lightness}
+    return causes_of(asked, header, **numbers, saturated_fraction=saturated_fraction)
+
+
 CAMERA, DISPLAY = Camera(focal_length_mm=4.0, die_mm=0.32), Display(dots=64, white_cd_per_m2=1000.0)
 FEW = {"bits": 2, "black_level_dn": 0}
 
@@ -262,7 +283,7 @@ def test_light_that_noise_hides_is_named_where_the_codes_would_do() -> None:
     """10 codes to white, and noise of 16 000, a quarter of all that the ADC has."""
     pixel = Pixel.model_validate(QUIET | {"full_well_e": 65_535.0, "bits": 16, "black_level_dn": 30_000})
     physics = replace(derive(pixel), read_noise_e=30_000.0)
-    (cause,) = causes_of({}, DISPLAY, physics, 10 / physics.dn_per_e, 0.01, (0.0, 100.0))
+    (cause,) = causes_in({}, DISPLAY, physics, 10 / physics.dn_per_e, 0.01, (0.0, 100.0))
     assert str(cause).startswith(f"{NOTHING}: its light is lost in the noise: more light or time")
 
 
@@ -296,18 +317,18 @@ def test_signal_below_one_step_is_named_beside_a_bright_white() -> None:
     physics = derive(Pixel.model_validate(SILICON | {"bits": 8, "black_level_dn": 0, "dark_current_e_per_s": 0}))
     for codes, named in ((0.9, True), (6.0, False)):
         lightest = 24389 / 27 * codes / 255  # CIE 15: L* below 8 is linear
-        causes = causes_of({}, Display(), physics, physics.saturation_e, 0.01, (lightest - 1, lightest))
+        causes = causes_in({}, Display(), physics, physics.saturation_e, 0.01, (lightest - 1, lightest))
         assert [cause.words for cause in causes] == ["the lightest dot is 0.9 of a step of the ADC above black"] * named
 
 
 def test_full_pixels_are_named_where_display_white_is_lighter() -> None:
     """In a white of four wells, pixels are full from a quarter of it on, L* 57.1 by CIE 15: up to 42.9 are lost."""
     full_e = FLAT.saturation_e - 0.01 * FLAT.dark_current_e_per_s
-    (cause,) = causes_of({}, Display(), FLAT, 4 * full_e, 0.01, (0.0, 100.0), 0.85)
+    (cause,) = causes_in({}, Display(), FLAT, 4 * full_e, 0.01, (0.0, 100.0), 0.85)
     assert cause.words == "85% of the pixels are saturated"
     assert cause.delta_e == pytest.approx(100 - (116 * 0.25 ** (1 / 3) - 16), abs=1e-9)
     for white_e, lightest, share in ((full_e, 100.0, 0.85), (4 * full_e, 57.0, 0.85), (4 * full_e, 100.0, 0.005)):
-        assert causes_of({}, Display(), FLAT, white_e, 0.01, (0.0, lightest), share) == ()
+        assert causes_in({}, Display(), FLAT, white_e, 0.01, (0.0, lightest), share) == ()
 
 
 @pytest.mark.parametrize(
@@ -321,7 +342,7 @@ def test_full_pixels_are_named_where_display_white_is_lighter() -> None:
     ],
 )
 def test_hint_names_the_setting_that_states_white(header: dict[str, Any], display: dict[str, float], named: str) -> None:
-    (cause,) = causes_of(header, Display.model_validate(display), FLAT, 1e4, 0.01, (100.0, 100.0))
+    (cause,) = causes_in(header, Display.model_validate(display), FLAT, 1e4, 0.01, (100.0, 100.0))
     assert named in cause.hint
 
 
@@ -333,7 +354,7 @@ def test_largest_cause_is_named_first() -> None:
         errors = LightError(0.6, noise_delta_e, "film", "noise").errors
         assert next(words for _, words in errors) == first
     outside = outside_header([Spectrum(np.array([400.0, 900.0]), np.ones(2))])
-    named = causes_of(outside, Display(), FLAT, 1.0, 0.01, (50.0, 50.0))
+    named = causes_in(outside, Display(), FLAT, 1.0, 0.01, (50.0, 50.0))
     assert [cause.delta_e for cause in named] == sorted((cause.delta_e for cause in named), reverse=True)
     assert len(named) == 3
     header = {"render_noise": {"fraction": 2.4, "target": 0.2, "ended_by": "samples", "delta_e": 2.5}}
@@ -393,9 +414,9 @@ def test_full_exposures_of_a_burst_are_named_though_their_sum_is_not_full() -> N
     lamp = Exposure(frames=8, flicker_hz=100.0, flicker_depth=0.6)
     physics = FLAT.burst(8)
     white_e = physics.saturation_e - 0.004 * physics.dark_current_e_per_s
-    (cause,) = causes_of({}, Display(), physics, white_e, 0.004, (0.0, 100.0), 0.5, lamp)
+    (cause,) = causes_in({}, Display(), physics, white_e, 0.004, (0.0, 100.0), 0.5, lamp)
     left = 1 - 0.6 * np.sinc(0.05) / np.pi
     assert cause.words == "50% of the pixels are saturated"
     assert cause.delta_e == pytest.approx(100 - (116 * left ** (1 / 3) - 16), abs=1e-9)
     for exposure, less in ((lamp.steady, 1.0), (lamp, 1.6)):
-        assert causes_of({}, Display(), physics, white_e / less, 0.004, (0.0, 100.0), 0.5, exposure) == ()
+        assert causes_in({}, Display(), physics, white_e / less, 0.004, (0.0, 100.0), 0.5, exposure) == ()

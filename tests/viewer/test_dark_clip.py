@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.chains import imaging
 
 import pixsim
 from pixsim.light.spectral import SpectralImage
@@ -15,9 +16,9 @@ from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import read_out, sample_sensor
+from pixsim.viewer.dark_clip import dark_clip
 from pixsim.viewer.display import white_rate
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.score import dark_clip
 
 SHAPE = 4, 250_000  # most of it columns, so that their offsets average too
 TIME_S = 0.03
@@ -122,7 +123,7 @@ def test_dark_clip_matches_shown_black_area() -> None:
     dark = SpectralImage([550.0], 10.0, 40.0, data=np.zeros((16, 16, 1)), header={"diffraction": False})
     pixel = Pixel(technology="4t-bsi", pitch_um=1.6, column_fpn=0, stack={"enabled": False})
     physics = derive(pixel)
-    white_e = white_rate(dark, camera, physics, display) * physics.photodiode_area_um2 * 5e-4
+    white_e = white_rate(imaging(camera, pixel, exposure, display), dark) * physics.photodiode_area_um2 * 5e-4
     clip = dark_clip(physics, 5e-4, white_e)
     score = pixsim.evaluate(dark, camera, pixel, exposure, display)
     # 160 000 clipped normal values, of which the spread is 1.5 times their mean: 0.4 %, and 5 σ of it.

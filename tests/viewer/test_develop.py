@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.chains import imaging_chain
 
 from pixsim.base.errors import PixsimError
 from pixsim.light.spectral import SpectralImage, colour_matching, luminous_weight
@@ -14,17 +15,18 @@ from pixsim.light.standard import illuminant, patch_reflectance
 from pixsim.optics import irradiance_factor
 from pixsim.optics.camera import Camera
 from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import Frame, make_frame
 from pixsim.viewer import develop as develop_module
+from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.develop import Rendition
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.develop_steps import STEPS, noise_covariance
 from pixsim.viewer.display import WHITE_XYZ, rgb_to_xyz
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.scielab import delta_e, xyz_to_lab
-from pixsim.viewer.score import ImagingChain, Score, ideal_on_dots, make_imaging_chain
+from pixsim.viewer.score import Score
+from pixsim.viewer.screen import ideal_on_dots
 
 NM = np.arange(362.5, 830.0, 5.0)
 CAMERA = Camera(die_mm=0.1)
@@ -84,9 +86,9 @@ def noiseless(chain: ImagingChain, time_s: float = TIME_S) -> Frame:
 
 def colour_error(image: SpectralImage, pixel: Pixel, develop: Develop, display: Display = DISPLAY) -> np.ndarray:
     """ΔE of each dot before the display's codes, on a display that is as bright as the brightest primary."""
-    chain = make_imaging_chain(image, CAMERA, pixel, Exposure(), display, develop=develop)
-    _, ideal = ideal_on_dots(image, CAMERA, derive(pixel), display, pixel.pitch_um, chain.rendition)
-    shown = chain.light(noiseless(chain))
+    chain = imaging_chain(image, CAMERA, pixel, Exposure(), display, develop=develop)
+    _, ideal = ideal_on_dots(chain.imaging.changed(border_um=pixel.pitch_um), image, chain.rendition)
+    shown = chain.development.light(noiseless(chain))
     scale = 1 / ideal.max()
     labs = [xyz_to_lab(rgb_to_xyz(np.moveaxis(scale * light, 0, -1)), WHITE_XYZ) for light in (shown, ideal)]
     return delta_e(*labs, "1976")
@@ -117,7 +119,7 @@ def test_luther_camera_with_crosstalk_has_no_colour_error() -> None:
     # Off the axis the openings pass less light to neighbours.
     assert colour_error(patch(13, "A"), mixed, Develop(matrix="least_squares")).max() < 3e-3
     with_it, without = (
-        make_imaging_chain(patch(13, "A"), CAMERA, one, Exposure(), DISPLAY).colour_facts(1.0)["noise_gains"]
+        imaging_chain(patch(13, "A"), CAMERA, one, Exposure(), DISPLAY).development.colour_facts(1.0)["noise_gains"]
         for one in (mixed, alone)
     )
     assert min(np.array(with_it) / without) > 1.05
@@ -130,7 +132,7 @@ def test_pixels_whose_colours_mix_beyond_repair_are_refused_with_their_pitch() -
     colour = {"pattern": "rggb", "quantum_efficiencies": LUTHER}
     pixel = sensor(colour, stack=stack, pitch_um=0.5)
     with pytest.raises(PixsimError, match=r"pixels of 0.5 µm: .*noise gains.*larger pixels mix the channels less"):
-        make_imaging_chain(patch(13, "D65"), CAMERA, pixel, Exposure(), DISPLAY).matrix  # noqa: B018
+        imaging_chain(patch(13, "D65"), CAMERA, pixel, Exposure(), DISPLAY).development.matrix  # noqa: B018
 
 
 @pytest.mark.parametrize(
@@ -151,8 +153,8 @@ def test_white_is_neutral_on_the_display_by_adaptation() -> None:
     shown = {}
     for adaptation in ("bradford", "cat02", "none"):
         display = DISPLAY.model_copy(update={"adaptation": adaptation})
-        chain = make_imaging_chain(white, CAMERA, pixel, Exposure(), display)
-        red, green, blue = chain.light(noiseless(chain)).mean(axis=(1, 2))
+        chain = imaging_chain(white, CAMERA, pixel, Exposure(), display)
+        red, green, blue = chain.development.light(noiseless(chain)).mean(axis=(1, 2))
         shown[adaptation] = red / green, blue / green
     for adaptation in ("bradford", "cat02"):
         assert shown[adaptation] == pytest.approx((1, 1), abs=1e-9)
@@ -188,8 +190,8 @@ SETTINGS = [
 def scores_of_equal_channels(image: SpectralImage, colour: dict[str, Any], display: Display) -> list[Score]:
     """Of a monochrome sensor, and of one whose channels are all like it; without noise."""
     pixels = sensor(None, quantum_efficiency=0.5), sensor(colour)
-    chains = [make_imaging_chain(image, CAMERA, pixel, Exposure(), display) for pixel in pixels]
-    return [chain.score_frame(noiseless(chain)) for chain in chains]
+    chains = [imaging_chain(image, CAMERA, pixel, Exposure(), display) for pixel in pixels]
+    return [chain.development.score(noiseless(chain)) for chain in chains]
 
 
 @pytest.mark.usefixtures("same_primaries")
@@ -226,8 +228,8 @@ def test_red_stripe_on_the_left_is_red_and_on_the_left(colour: dict[str, Any], c
     stripe[0, :, :12], stripe[1, :, 12:] = 1, 1
     reflectance = patch_reflectance(NM)[[14, 18]]  # red and white
     pixel = sensor(colour | {"quantum_efficiencies": LUTHER}, pitch_um=100.0 / columns)
-    chain = make_imaging_chain(scene(reflectance, stripe), CAMERA, pixel, Exposure(), DISPLAY)
-    for picture in (chain.screen.ideal, chain.score_frame(noiseless(chain)).image):
+    chain = imaging_chain(scene(reflectance, stripe), CAMERA, pixel, Exposure(), DISPLAY)
+    for picture in (chain.screen.ideal, chain.development.score(noiseless(chain)).image):
         left, right = picture[:, :2].mean(axis=(0, 1)), picture[:, -4:].mean(axis=(0, 1))
         assert left[0] > 2 * max(left[1], left[2])
         assert np.ptp(right) < 0.1 * right.max()
@@ -241,7 +243,7 @@ def test_lamp_of_few_wavelengths_is_refused_by_name(lines: list[float], pattern:
     lamp = np.isin(nm, lines).astype(float)
     image = SpectralImage(nm, np.full(nm.size, 5.0), 2.0, factors=([lamp], np.ones((1, 50, 50))), header={"diffraction": False})
     with pytest.raises(PixsimError, match=rf"colour under the scene's lamp.*rank {len(lines)}.*more wavelengths"):
-        make_imaging_chain(image, CAMERA, sensor({"pattern": pattern, "quantum_efficiencies": LUTHER}), Exposure(), DISPLAY)
+        imaging_chain(image, CAMERA, sensor({"pattern": pattern, "quantum_efficiencies": LUTHER}), Exposure(), DISPLAY)
 
 
 def test_lamp_too_saturated_for_adaptation_is_refused_by_name() -> None:
@@ -253,8 +255,8 @@ def test_lamp_too_saturated_for_adaptation_is_refused_by_name() -> None:
     )
     pixel = sensor({"quantum_efficiencies": LUTHER})
     with pytest.raises(PixsimError, match=r"display.adaptation under the scene's lamp: .*Choose adaptation 'none'"):
-        make_imaging_chain(image, CAMERA, pixel, Exposure(), DISPLAY)
-    make_imaging_chain(image, CAMERA, pixel, Exposure(), DISPLAY.model_copy(update={"adaptation": "none"}))
+        imaging_chain(image, CAMERA, pixel, Exposure(), DISPLAY)
+    imaging_chain(image, CAMERA, pixel, Exposure(), DISPLAY.model_copy(update={"adaptation": "none"}))
 
 
 @pytest.mark.parametrize(
@@ -274,7 +276,7 @@ def test_lamp_too_saturated_for_adaptation_is_refused_by_name() -> None:
 def test_die_without_a_whole_unit_cell_is_refused(colour: dict[str, Any], pitch_um: float, says: str) -> None:
     pixel = sensor(colour | {"quantum_efficiencies": LUTHER}, pitch_um=pitch_um)
     with pytest.raises(PixsimError, match=says):
-        make_imaging_chain(patch(18, "D65"), CAMERA, pixel, Exposure(), PIXELS)
+        imaging_chain(patch(18, "D65"), CAMERA, pixel, Exposure(), PIXELS)
 
 
 @pytest.mark.parametrize(
@@ -290,7 +292,7 @@ def test_die_without_a_whole_unit_cell_is_refused(colour: dict[str, Any], pitch_
 )
 def test_smallest_frames_and_odd_ones_have_right_colours(colour: dict[str, Any], pitch_um: float, shape: tuple[int, int]) -> None:
     pixel = sensor(colour | {"quantum_efficiencies": LUTHER}, pitch_um=pitch_um)
-    chain = make_imaging_chain(patch(13, "D65"), CAMERA, pixel, Exposure(), PIXELS)
+    chain = imaging_chain(patch(13, "D65"), CAMERA, pixel, Exposure(), PIXELS)
     assert noiseless(chain).dn.shape == shape
     assert colour_error(patch(13, "D65"), pixel, Develop(), PIXELS).max() < 2e-3
 
@@ -307,32 +309,33 @@ def test_matrix_that_amplifies_noise_is_refused_with_its_gains() -> None:
     with pytest.raises(
         PixsimError, match=r"pixels of 4 µm: colour under the scene's lamp: .*noise gains of [\d., ]+ in R, G, B.*up to 10"
     ):
-        make_imaging_chain(image, CAMERA, pixel, Exposure(), DISPLAY).matrix  # noqa: B018
+        imaging_chain(image, CAMERA, pixel, Exposure(), DISPLAY).development.matrix  # noqa: B018
     dim = Exposure(integration_s=1e-5)
-    gains = make_imaging_chain(image, CAMERA, pixel, dim, DISPLAY, develop=Develop(matrix="noise_aware")).colour_facts(1e-5)
+    gains = imaging_chain(image, CAMERA, pixel, dim, DISPLAY, develop=Develop(matrix="noise_aware")).development.colour_facts(1e-5)
     assert max(gains["noise_gains"]) < 10
 
 
 def test_manual_white_balance() -> None:
     """Gains that are those of the known white change nothing; twice the gain of red is twice the red channel."""
     pixel, image = sensor({"quantum_efficiencies": LUTHER}), patch(18, "A")
-    known = make_imaging_chain(image, CAMERA, pixel, Exposure(), DISPLAY)
+    known = imaging_chain(image, CAMERA, pixel, Exposure(), DISPLAY)
     frame, whites = noiseless(known), np.array(known.whites_e_per_s)
     for factor in (1.0, 2.0):
         gains = tuple((7 / whites * [factor, 1, 1]).tolist())
-        manual = replace(known, develop=Develop(white_balance=gains))
-        channels = np.linalg.solve(known.matrix, np.array([chain.light(frame).mean(axis=(1, 2)) for chain in (known, manual)]).T)
+        manual = replace(known, imaging=known.imaging.changed(develop=Develop(white_balance=gains)))
+        means = [chain.development.light(frame).mean(axis=(1, 2)) for chain in (known, manual)]
+        channels = np.linalg.solve(known.development.matrix, np.array(means).T)
         np.testing.assert_allclose(channels[:, 1] / channels[:, 0], [factor, 1, 1], rtol=1e-9)
 
 
 def test_saturated_pixels_are_white() -> None:
     """All channels end at the level of the one that saturates first: no colour is left in high lights."""
     pixel, image = sensor({"quantum_efficiencies": LUTHER}), patch(18, "A")
-    chain = make_imaging_chain(image, CAMERA, pixel, Exposure(), DISPLAY)
+    chain = imaging_chain(image, CAMERA, pixel, Exposure(), DISPLAY)
     time_s = 20 * chain.physics.saturation_e / chain.signal_e_per_s.max()
     frame = noiseless(chain, time_s)
     frame = replace(frame, corrected_e=np.minimum(frame.corrected_e, chain.physics.saturation_e))
-    light = chain.light(frame)
+    light = chain.development.light(frame)
     assert light.max() == pytest.approx(light.min(), rel=1e-9)
 
 
@@ -364,15 +367,15 @@ def test_noise_covariance_is_that_of_dots(pattern: str, dots: int, develop: dict
     display = Display(white_cd_per_m2=1e3, dots=dots)
     settings = {"develop": Develop(**develop)}
     image = scene(patch_reflectance(NM)[[13]], np.ones((1, 8, 8)), camera=LARGE)
-    chain = make_imaging_chain(image, LARGE, pixel, Exposure(integration_s=time_s), display, **settings)
+    chain = imaging_chain(image, LARGE, pixel, Exposure(integration_s=time_s), display, **settings)
     inner = np.s_[:, 6:-6, 6:-6]
-    mean = chain.light(noiseless(chain, time_s))[inner].mean(axis=(1, 2))
-    c = chain.developing(noiseless(chain, time_s), chain.matrix)
+    mean = chain.development.light(noiseless(chain, time_s))[inner].mean(axis=(1, 2))
+    c = chain.development.developing(noiseless(chain, time_s), chain.development.matrix)
     kinds = [step.works_on for step in STEPS.values()]
-    expected = noise_covariance(c, np.linalg.solve(chain.matrix, mean)[None], chain.screen.dot_um, kinds)[0]
+    expected = noise_covariance(c, np.linalg.solve(chain.development.matrix, mean)[None], chain.screen.dot_um, kinds)[0]
     each = []
     for number in range(4 if pattern == "stacked" else 12):
-        noise = chain.light(chain.capture("covariance", number))[inner] - mean[:, None, None]
+        noise = chain.development.light(chain.capture("covariance", number))[inner] - mean[:, None, None]
         each.append(np.einsum("cyx,dyx->cd", noise, noise) / noise[0].size)
     found = np.mean(each, axis=0)
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
@@ -389,13 +392,13 @@ def test_noise_aware_matrix_has_the_least_expected_error_in_frames() -> None:
     dim, methods = Exposure(integration_s=2e-4), ("noise_aware", "least_delta_e", "least_squares")
     errors = np.zeros((len(methods), 4, 18))
     for number in range(18):
-        one = make_imaging_chain(patch(number, "D65"), CAMERA, pixel, dim, PIXELS)
-        chains = [replace(one, develop=Develop(matrix=method)) for method in methods]
+        one = imaging_chain(patch(number, "D65"), CAMERA, pixel, dim, PIXELS)
+        chains = [replace(one, imaging=one.imaging.changed(develop=Develop(matrix=method))) for method in methods]
         truth = xyz_to_lab(rgb_to_xyz(one.rendition.to_display @ one.rendition.xyz[number]), WHITE_XYZ)
         for index in range(4):
             frame = one.capture("patch", number, index)
             for at, chain in enumerate(chains):
-                lab = xyz_to_lab(rgb_to_xyz(np.moveaxis(chain.light(frame), 0, -1)), WHITE_XYZ)
+                lab = xyz_to_lab(rgb_to_xyz(np.moveaxis(chain.development.light(frame), 0, -1)), WHITE_XYZ)
                 errors[at, index, number] = delta_e(np.broadcast_to(truth, lab.shape), lab).mean()
     aware, *others = errors.mean(axis=2)
     for other in others:
@@ -406,8 +409,11 @@ def test_noise_aware_matrix_has_the_least_expected_error_in_frames() -> None:
 def test_noise_aware_matrix_of_much_light_is_the_second_one() -> None:
     """The noise of the pixel vanishes next to 10⁹ electrons of white."""
     pixel = sensor({"sensitivities": "Canon_EOS_R5", "peak_quantum_efficiency": 0.6}, full_well_e=1e12, bits=24)
-    chain = make_imaging_chain(patch(18, "D65"), CAMERA, pixel, Exposure(integration_s=2e3), DISPLAY)
-    aware, least = (replace(chain, develop=Develop(matrix=method)).matrix for method in ("noise_aware", "least_delta_e"))
+    chain = imaging_chain(patch(18, "D65"), CAMERA, pixel, Exposure(integration_s=2e3), DISPLAY)
+    aware, least = (
+        replace(chain, imaging=chain.imaging.changed(develop=Develop(matrix=method))).development.matrix
+        for method in ("noise_aware", "least_delta_e")
+    )
     assert min(chain.whites_e_per_s) * 2e3 > 1e9
     assert aware == pytest.approx(least, abs=1e-3)
 
@@ -419,7 +425,7 @@ def grey_burst(fullest: float, exposure: Exposure = FLICKER) -> tuple[ImagingCha
     """Return a burst of a grey field whose green fills a share of all wells, red and blue half of it, with shot noise alone."""
     curves = {letter: [(nm, value / (1 if letter == "G" else 2)) for nm, value in LUTHER[letter]] for letter in "RGB"}
     pixel, image = sensor({"quantum_efficiencies": curves}), patch(18, "D65")
-    chain = make_imaging_chain(image, CAMERA, pixel, exposure, DISPLAY)
+    chain = imaging_chain(image, CAMERA, pixel, exposure, DISPLAY)
     physics = replace(chain.physics, full_well_e=chain.signal_e_per_s.max() * TIME_S / exposure.frames / fullest)
     chain = replace(chain, physics=physics)
     return chain, chain.capture("grey burst")
@@ -438,24 +444,24 @@ def test_burst_that_is_saturated_in_part_is_neutral() -> None:
     assert frame.layout is not None
     np.testing.assert_array_equal(frame.saturated, frame.layout.numbers(frame.dn.shape) == frame.layout.channels.index("G"))
     assert frame.electrons.max() < 0.99 * chain.physics.saturation_e
-    light = chain.light(frame)
+    light = chain.development.light(frame)
     assert np.ptp(light, axis=0).max() < 1e-6 * light.max()
     # Red and blue are not full: the field keeps its luminance, within the shot noise of the brighter of two channels.
-    expected = chain.light(noiseless(chain)).mean()
+    expected = chain.development.light(noiseless(chain)).mean()
     assert light.mean() == pytest.approx(expected, rel=0.02)
     # The sums alone tell a colour.
-    assert chroma(chain.light(replace(frame, saturated=None))) > 10
+    assert chroma(chain.development.light(replace(frame, saturated=None))) > 10
 
 
 def test_colour_of_a_burst_below_its_wells_is_that_of_its_sums() -> None:
     chain, frame = grey_burst(0.5)
     assert frame.saturated is not None
     assert not frame.saturated.any()
-    np.testing.assert_array_equal(chain.light(frame), chain.light(replace(frame, saturated=None)))
+    np.testing.assert_array_equal(chain.development.light(frame), chain.development.light(replace(frame, saturated=None)))
 
 
 def test_one_exposure_is_judged_by_its_electrons() -> None:
     chain, frame = grey_burst(0.99, Exposure(integration_s=TIME_S))
     assert frame.saturated is not None
     assert frame.saturated.any()
-    np.testing.assert_array_equal(chain.light(frame), chain.light(replace(frame, saturated=None)))
+    np.testing.assert_array_equal(chain.development.light(frame), chain.development.light(replace(frame, saturated=None)))

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.chains import imaging_chain
 from helpers.tiny import tiny
 
 import pixsim
@@ -21,6 +22,7 @@ from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import Frame, make_frame
 from pixsim.studies.settings_text import settings_text
+from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.demosaic import remosaic
 from pixsim.viewer.denoising import wiener
 from pixsim.viewer.develop_options import Develop
@@ -35,7 +37,7 @@ from pixsim.viewer.develop_steps import (
     white_noise_e2,
 )
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.score import ImagingChain, make_imaging_chain, shown
+from pixsim.viewer.screen import display_image
 from pixsim.viewer.sharpening import noise_gain, unsharp_mask, unsharp_response
 from pixsim.viewer.tone import reinhard, toned
 
@@ -91,7 +93,7 @@ def chain_of(
     **fields: Any,
 ) -> ImagingChain:
     own = scene(detailed() if picture is None else picture), CAMERA, sensor(colour, **fields)
-    return make_imaging_chain(*own, Exposure(**exposure or {"integration_s": TIME_S}), display, develop=Develop(**develop))
+    return imaging_chain(*own, Exposure(**exposure or {"integration_s": TIME_S}), display, develop=Develop(**develop))
 
 
 def noiseless(chain: ImagingChain) -> Frame:
@@ -119,7 +121,7 @@ def test_steps_that_are_off_change_no_bit(colour: str) -> None:
     for one, other in zip((plain.capture("a"), plain.screen.ideal), (idle.capture("a"), idle.screen.ideal), strict=True):
         pixels, others = (each.dn if isinstance(each, Frame) else each for each in (one, other))
         np.testing.assert_array_equal(pixels, others)
-    np.testing.assert_array_equal(plain.light(plain.capture("a")), idle.light(plain.capture("a")))
+    np.testing.assert_array_equal(plain.development.light(plain.capture("a")), idle.development.light(plain.capture("a")))
 
 
 # --- noise reduction -------------------------------------------------------------------------------------------------------------
@@ -139,10 +141,10 @@ def test_denoised_frames_are_nearer_to_the_expected_light(colour: str, denoise: 
     """And, in the mean over an even half of the frame, as bright: nothing is lost to the transforms. σ of the mean is 0.1 %."""
     chain = chain_of({"denoise": denoise}, colour, picture=np.clip(detailed(), 0.35, 0.75))
     frame, expected = chain.capture("frame"), chain.signal_e_per_s * TIME_S
-    plain = replace(chain, develop=Develop())
+    plain = replace(chain, imaging=chain.imaging.changed(develop=Develop()))
     errors = []
     for each in (chain, plain):
-        c = each.developing(frame, None)
+        c = each.development.developing(frame, None)
         raw = STEPS["denoise"].apply(frame.electrons, c) if c.develop.denoises else frame.electrons
         errors.append(float(np.mean((raw - expected) ** 2)))
         assert raw.mean() == pytest.approx(expected.mean(), rel=3e-3)
@@ -153,7 +155,7 @@ def test_no_filter_of_the_list_beats_the_bound_in_mean_square_error_of_even_nois
     """'wiener_bound' has the least error of linear filters: also of unsharp masks that blur, which are of its kind."""
     chain = chain_of({"denoise": "wiener_bound"})
     frame, expected = chain.capture("bound"), chain.signal_e_per_s * TIME_S
-    bound = STEPS["denoise"].apply(frame.electrons, chain.developing(frame, None))
+    bound = STEPS["denoise"].apply(frame.electrons, chain.development.developing(frame, None))
     least = float(np.mean((bound - expected) ** 2))
     for amount, sigma in ((0.9, 0.5), (0.9, 1.0), (0.5, 1.0), (0.7, 3.0)):
         blurred = frame.electrons - amount * (unsharp_mask(frame.electrons, 1.0, sigma) - frame.electrons)
@@ -175,13 +177,14 @@ def test_bound_leaves_the_error_that_it_states(colour: str, correction: dict[str
     of all channels for as bright as those of the brightest.
     """
     fields = {"prnu": 0.02, "dsnu": 0.2, "dark_current_e_per_s": 5e4, "offset_fpn": 5e-4, "column_fpn": 5e-4, "row_noise_e": 4.0}
-    chain = replace(chain_of({"denoise": "wiener_bound"}, colour, **fields), correction=Correction(**correction))
+    chain = chain_of({"denoise": "wiener_bound"}, colour, **fields)
+    chain = replace(chain, imaging=chain.imaging.changed(correction=Correction(**correction)))
     expected, errors = chain.signal_e_per_s * TIME_S, []
-    c = chain.developing(noiseless(chain), None)
+    c = chain.development.developing(noiseless(chain), None)
     for number in range(16):
         raw = STEPS["denoise"].apply(chain.capture("bound", number).electrons, replace(c))
         errors.append(float(np.mean((raw - expected) ** 2)))
-    variance, column_e2, row_e2 = noise_of_expected_e2(expected, chain.physics, TIME_S, chain.correction)
+    variance, column_e2, row_e2 = noise_of_expected_e2(expected, chain.physics, TIME_S, chain.imaging.correction)
     stated = [
         wiener.mean_square_error(
             wiener.signal_power(light), wiener.noise_power(own, column_variance=column_e2, row_variance=row_e2)
@@ -202,9 +205,9 @@ def test_noise_reduction_before_demosaicing_leaves_less_chroma_noise() -> None:
 
     chain = chain_of({"denoise": "nlm"}, "rggb", picture=np.full((SIDE, SIDE), 0.5))
     frame = chain.capture("chroma")
-    first = developed_planes(chain.developing(frame, None))
-    planes = developed_planes(replace(chain, develop=Develop()).developing(frame, None))
-    own_e2, white_e = white_noise_e2(chain.physics, TIME_S, chain.correction), np.array(chain.whites_e_per_s) * TIME_S
+    first = developed_planes(chain.development.developing(frame, None))
+    planes = developed_planes(replace(chain, imaging=chain.imaging.changed(develop=Develop())).development.developing(frame, None))
+    own_e2, white_e = white_noise_e2(chain.physics, TIME_S, chain.imaging.correction), np.array(chain.whites_e_per_s) * TIME_S
     last = [denoised_plane(plane * white, own_e2, "nlm") / white for plane, white in zip(planes, white_e, strict=True)]
     assert chroma_noise(first) < 0.8 * chroma_noise(last)
     assert chroma_noise(last) < chroma_noise(planes)
@@ -215,7 +218,7 @@ def test_known_noise_is_that_of_dark_frames() -> None:
     chain = chain_of({}, picture=np.full((SIDE, SIDE), 1e-6), dark_current_e_per_s=3e4, dsnu_e=20.0)
     dark = chain.capture("noise").electrons, *(frame.electrons for frame in chain.further_frames(21, "noise"))
     variance = float(np.var(np.diff(dark, axis=0), axis=(1, 2)).mean()) / 2
-    known = white_noise_e2(chain.physics, TIME_S, chain.correction) + chain.physics.dark_current_e_per_s * TIME_S
+    known = white_noise_e2(chain.physics, TIME_S, chain.imaging.correction) + chain.physics.dark_current_e_per_s * TIME_S
     assert variance == pytest.approx(known, rel=0.01)
 
 
@@ -254,7 +257,7 @@ def test_radius_on_the_display_is_that_in_pixels_of_any_size() -> None:
     """At f cy/deg on a display of s dots a degree the blur has σ = s/(2πf) dots, whatever the pixels."""
     for pitch_um in (2.0, 4.0):
         chain = chain_of({"sharpen_amount": 1.0, "sharpen_radius_cy_per_deg": 2.5}, pitch_um=pitch_um)
-        assert chain.sharpen_px * pitch_um == pytest.approx(23.0 / (2 * math.pi * 2.5) * SAMPLE_UM)
+        assert chain.development.sharpen_px * pitch_um == pytest.approx(23.0 / (2 * math.pi * 2.5) * SAMPLE_UM)
     wide = chain_of({"sharpen_amount": 1.0, "sharpen_radius_cy_per_deg": 1e-3})
     with pytest.raises(PixsimError, match=r"sharpen_radius_cy_per_deg.*up to 100 pixels"):
         wide.simulate("wide")
@@ -272,7 +275,7 @@ def test_ideal_picture_has_the_tone_curve_and_no_sharpening(curve: Any, colour: 
     for level in (0.05, 0.5, 1.9):
         even = np.full((SIDE, SIDE), level)
         chain = chain_of(develop, colour, picture=even, exposure={"integration_s": TIME_S}, full_well_e=1e6)
-        image = shown(chain.light(noiseless(chain)), DISPLAY)
+        image = display_image(chain.development.light(noiseless(chain)), DISPLAY)
         np.testing.assert_allclose(image, chain.screen.ideal, atol=2 / 255 if colour else 1e-9)
         linear = float(np.asarray(chain_of({}, colour, picture=even, full_well_e=1e6).screen.ideal).mean())
         assert abs(float(image.mean()) - linear) > 1e-3 or level > 1
@@ -339,7 +342,7 @@ def test_remosaiced_quad_shows_more_detail_than_its_own_interpolation_and_than_b
         ("binning", {}, True),
     ):
         chain = chain_of(develop, {"pattern": "quad_rggb", "binning": binning}, picture=picture)
-        light = chain.light(noiseless(chain))
+        light = chain.development.light(noiseless(chain))
         errors[name] = float(np.mean((np.moveaxis(light, 0, -1)[4:-4, 4:-4] - chain.screen.ideal[4:-4, 4:-4]) ** 2))
     assert errors["remosaic"] < errors["interpolate"]
     assert errors["remosaic"] < errors["binning"]
@@ -377,11 +380,11 @@ def test_covariance_behind_the_bound_is_that_of_frames(colour: str, develop: dic
     chain, even = chain_of(develop, colour), chain_of(develop, colour, picture=np.full((SIDE, SIDE), 0.5))
     still = noiseless(chain)
     levels = np.full((1, len(chain.whites_e_per_s)), 0.5)
-    expected = noise_covariance(chain.developing(still, None), levels, None)[0]
+    expected = noise_covariance(chain.development.developing(still, None), levels, None)[0]
     found = np.zeros_like(expected)
     for number in range(60):
         noise = even.capture("through", number).electrons - even.signal_e_per_s * TIME_S
-        planes = np.stack(developed_planes(replace(chain.developing(replace(still, corrected_e=noise), None))))
+        planes = np.stack(developed_planes(replace(chain.development.developing(replace(still, corrected_e=noise), None))))
         found += np.einsum("cyx,dyx->cd", planes, planes) / planes[0].size / 60
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     assert found / scale == pytest.approx(expected / scale, abs=gate)
@@ -404,15 +407,15 @@ def test_linear_steps_and_dots_create_no_information(develop: dict[str, Any]) ->
         camera = Camera(die_mm=1e-3 * 2 * side * SAMPLE_UM, focal_length_mm=0.4)
         display = Display(dots=dots, raster="fixed_size" if dots == 8 else "one_to_one")
         own = scene(picture), camera, sensor(pitch_um=2 * SAMPLE_UM), Exposure(integration_s=TIME_S), display
-        chain = make_imaging_chain(*own, develop=Develop(**develop))
+        chain = imaging_chain(*own, develop=Develop(**develop))
         still = noiseless(chain)
         signal_e = chain.signal_e_per_s * TIME_S
-        variance = signal_e + white_noise_e2(chain.physics, TIME_S, chain.correction)
+        variance = signal_e + white_noise_e2(chain.physics, TIME_S, chain.imaging.correction)
         columns = []
         for place in np.ndindex(side, side):
             one = np.zeros((side, side))
             one[place] = 1.0
-            columns.append(chain.light(replace(still, corrected_e=one)).ravel())
+            columns.append(chain.development.light(replace(still, corrected_e=one)).ravel())
         steps = np.array(columns).T
         behind = steps @ target.ravel()
         covariance = steps @ (variance.ravel()[:, None] * steps.T)
@@ -432,8 +435,8 @@ def same(plane: np.ndarray, strength: float) -> np.ndarray:
 def test_covariance_of_frames_is_the_closed_form_where_nothing_is_filtered(colour: str) -> None:
     """Of a function that returns what it gets, whose effect only frames tell: each variance within 11 %, 4 σ of 90² dots."""
     develop = {"matrix": "noise_aware", "demosaic": "bilinear" if colour == "rggb" else None}
-    by_frames = chain_of(develop | {"denoise": same}, colour).channel_covariance(TIME_S)
-    closed = chain_of(develop, colour).channel_covariance(TIME_S)
+    by_frames = chain_of(develop | {"denoise": same}, colour).development.channel_covariance(TIME_S)
+    closed = chain_of(develop, colour).development.channel_covariance(TIME_S)
     ratio = np.diagonal(by_frames, axis1=1, axis2=2) / np.diagonal(closed, axis1=1, axis2=2)
     assert ratio == pytest.approx(1.0, abs=0.11)
     assert ratio.mean() == pytest.approx(1.0, abs=0.015)
@@ -443,7 +446,7 @@ def test_noise_aware_matrix_knows_that_noise_is_reduced() -> None:
     """With less noise in the channels it amplifies more of it."""
     exposure = {"integration_s": 3e-5}
     gains = [
-        float((chain_of({"matrix": "noise_aware", "denoise": name}, "rggb", exposure=exposure).matrix ** 2).sum())
+        float((chain_of({"matrix": "noise_aware", "denoise": name}, "rggb", exposure=exposure).development.matrix ** 2).sum())
         for name in ("none", "nlm")
     ]
     assert gains[1] > 1.02 * gains[0]
@@ -452,7 +455,7 @@ def test_noise_aware_matrix_knows_that_noise_is_reduced() -> None:
 def test_a_step_without_a_closed_form_is_refused_by_it() -> None:
     chain = chain_of({"denoise": "wavelet"}, "rggb")
     with pytest.raises(PixsimError, match=r"covariance of noise.*develop.denoise"):
-        noise_covariance(chain.developing(noiseless(chain), None), np.ones((1, 3)), None)
+        noise_covariance(chain.development.developing(noiseless(chain), None), np.ones((1, 3)), None)
 
 
 # --- settings --------------------------------------------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ import warnings
 
 import numpy as np
 import pytest
+from helpers.chains import imaging, imaging_chain
 
 import pixsim
 from pixsim.base.errors import PixsimError
@@ -21,7 +22,7 @@ from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import Frame
 from pixsim.viewer import display as displays
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.score import chain_at_pitch, evaluate, prepare_scene
+from pixsim.viewer.evaluate import evaluate
 
 NM = np.arange(400.0, 721.0, 10)
 DIE_MM = 0.6784  # a quarter of the usual die: 128 dots of 5.3 µm
@@ -57,7 +58,7 @@ def ideal_on_dots(
 ) -> np.ndarray:
     """`ideal_luminance` on all dots, or without a border."""
     edges_um = displays.dot_edges_um(displays.picture_size_um(irradiance), pitch_um, display, border_um)
-    return displays.ideal_luminance(irradiance, camera, derive(Pixel(pitch_um=pitch_um)), display, edges_um)
+    return displays.ideal_luminance(imaging(camera, Pixel(pitch_um=pitch_um), display=display), irradiance, edges_um)
 
 
 # --- Scale ---
@@ -70,7 +71,7 @@ def test_frame_luminance_of_white_is_one(general, f_number, transmittance):
     physics = derive(Pixel(pitch_um=10.6))
     irradiance = irradiance_of(np.ones((64, 64)), camera, general)
     electrons = mean_signal_rate(irradiance, camera, physics) * 0.01
-    white_e = displays.white_rate(irradiance, camera, physics, SMALL) * 0.01 * physics.photodiode_area_um2
+    white_e = displays.white_rate(imaging(camera, physics.pixel, display=SMALL), irradiance) * 0.01 * physics.photodiode_area_um2
     frame = noise_free(electrons, 10.6, mean_dark_e=12.3, black_level_dn=64)
     shown = on_dots(frame, displays.picture_size_um(irradiance), white_e, SMALL)
     # Rounding of the ADC: 0.0005 e- of more than 1000; float32 in the irradiance: 1e-7.
@@ -293,8 +294,8 @@ def test_simulate_one_pixel_fewer_adds_no_seam():
     light = irradiance_of(np.tile(line, (64, 1)), camera)
     ends, mean = [], []
     for pitch_um in (6.7840, 6.7847):
-        physics = derive(Pixel(pitch_um=pitch_um, **PERFECT))
-        chain = chain_at_pitch(prepare_scene(light, camera, physics, Display(), border_um=15.0), physics, LONG)
+        pixel = Pixel(pitch_um=pitch_um, **PERFECT)
+        chain = imaging_chain(light, camera, pixel, LONG, border_um=15.0)
         map_ = chain.simulate("seam").delta_e
         assert map_.shape[1] == 506
         ends.append([map_[:, 0].mean(), map_[:, -1].mean()])
@@ -359,10 +360,10 @@ def test_score_frame_ideal_pixels_converge_to_ideal_image(csf, bits, finest_um, 
     irradiance, camera = csf
     display, actual = Display(bits=bits), {}
     for pitch_um in {5.3, 2.65, 1.325, finest_um}:
-        physics = derive(Pixel(pitch_um=pitch_um, **PERFECT))
-        chain = chain_at_pitch(prepare_scene(irradiance, camera, physics, display, border_um=15.0), physics, LONG)
+        pixel = Pixel(pitch_um=pitch_um, **PERFECT)
+        chain = imaging_chain(irradiance, camera, pixel, LONG, display, border_um=15.0)
         frame = chain.capture_with(seed := np.random.default_rng(0), NoShotNoise(seed.bit_generator), seed)
-        actual[pitch_um] = chain.score_frame(frame).mean_delta_e
+        actual[pitch_um] = chain.development.score(frame).mean_delta_e
     assert 0 < actual[finest_um] <= most
     for pitch_um in (5.3, 2.65):
         assert 3.3 < actual[pitch_um] / actual[pitch_um / 2] < 4.5

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.chains import imaging_chain
 
 import pixsim
 from pixsim.base.errors import PixsimError
@@ -20,14 +21,16 @@ from pixsim.optics.camera import Camera
 from pixsim.sensor.colour_options import ColourOptions
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import read_out, sample_sensor
+from pixsim.viewer.chain import ImagingChain
+from pixsim.viewer.development import Development
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.judged import Judged, Judging
+from pixsim.viewer.frame_under_test import FrameUnderTest
 from pixsim.viewer.judges.interpretability import niirs, relative_edge_response
 from pixsim.viewer.judges.non_prewhitening import npwe
 from pixsim.viewer.judges.sharpness import edge_mtf
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.metric_registry import METRICS, metrics_named
-from pixsim.viewer.metrics import NoNumberError, own_metric
+from pixsim.viewer.metrics import MetricRequest, NoNumberError, own_metric
 from pixsim.viewer.raw_metrics import (
     FARTHEST,
     _d_prime,
@@ -41,7 +44,6 @@ from pixsim.viewer.raw_metrics import (
     top_table,
     variance_of_pixels_e2,
 )
-from pixsim.viewer.score import ImagingChain, make_imaging_chain
 from pixsim.viewer.shown_metrics import _expected_light
 
 CELL_UM, WHITE = 2.0, 100.0
@@ -71,10 +73,10 @@ EVEN = light(np.ones((200, 200)))
 
 
 def chain_of(
-    image: SpectralImage, pixel: Pixel = PIXEL, without: SpectralImage | None = None, judging: Judging | None = None
+    image: SpectralImage, pixel: Pixel = PIXEL, without: SpectralImage | None = None, judging: MetricRequest | None = None
 ) -> ImagingChain:
-    judging = judging or Judging(metrics_named(["information"]))
-    return make_imaging_chain(image, CAMERA, pixel, EXPOSURE, DISPLAY, judging=judging, without=without)
+    judging = judging or MetricRequest(metrics_named(["information"]))
+    return imaging_chain(image, CAMERA, pixel, EXPOSURE, DISPLAY, metrics=judging, background=without)
 
 
 def with_disc(contrast: float, radius_px: float = 20.0) -> SpectralImage:
@@ -129,13 +131,13 @@ def test_column_noise_of_a_pixel_hides_bars_along_its_columns_alone() -> None:
 def test_detectability_is_the_mean_over_registrations_and_the_worst() -> None:
     """A target of one pixel is shared by four where they meet on it: registrations differ, and 16 are asked for by default."""
     image = with_disc(0.5, 1.0)
-    judging = Judging(metrics_named(["detectability"]))
+    judging = MetricRequest(metrics_named(["detectability"]))
     chain = chain_of(image, without=EVEN, judging=judging)
-    judged = Judged(chain, chain.capture("a"), judging)
-    chains = list(judged.chains(16))
-    each = [judging.metrics[0].compute(replace(judged, chain=one, judging=replace(judging, repeats=16)))[0] for one in chains]
-    assert len({one.physics.registration for one in chains}) == 16
-    mean, worst, factor = judging.metrics[0].compute(judged)
+    judged = FrameUnderTest.of(chain, chain.capture("a"))
+    frames = list(judged.registrations(16))
+    each = [_d_prime(frame) for frame in frames]
+    assert len({frame.physics.registration for frame in frames}) == 16
+    mean, worst, factor = METRICS["detectability"].compute(judged)
     assert (mean, worst) == (pytest.approx(np.mean(each), rel=1e-12), pytest.approx(min(each), rel=1e-12))
     assert worst < 0.98 * mean
     assert factor == pytest.approx(5 / mean, rel=1e-12)
@@ -145,10 +147,10 @@ def test_npwe_is_that_of_the_expected_pictures_and_the_expected_noise() -> None:
     """Pixels of one dot have white noise on the dots, of the variance of their mean signal: d′ of the closed form."""
     image, nearest = with_disc(0.05, 25.0), DISPLAY.model_copy(update={"interpolation": "nearest"})
     pixel = PIXEL.model_copy(update={"pitch_um": 6.25, "registration": (0.0, 0.0)})  # a dot each
-    judging = Judging(metrics_named(["npwe"]))
-    chain = make_imaging_chain(image, CAMERA, pixel, EXPOSURE, nearest, judging=judging, without=EVEN)
-    judged = Judged(chain, chain.capture("a"), replace(judging, repeats=16))  # of this registration alone
-    levels = [0.02 * each for each in (chain.signal_e_per_s, chain.without_e_per_s)]
+    judging = MetricRequest(metrics_named(["npwe"]), repeats=16)  # of this registration alone
+    chain = imaging_chain(image, CAMERA, pixel, EXPOSURE, nearest, metrics=judging, background=EVEN)
+    judged = FrameUnderTest.of(chain, chain.capture("a"))
+    levels = [0.02 * each for each in (chain.signal_e_per_s, chain.background_e_per_s)]
     white_e = 0.02 * chain.white_e_per_s
     variance = float(levels[0].mean()) + 16.0 + 1 / (12 * chain.physics.dn_per_e**2)
     shown = (levels[0] - levels[1]) / white_e
@@ -182,18 +184,19 @@ def test_npwe_has_the_noise_of_many_frames(case: str) -> None:
     """
     of_pixel, of_display, more = DISPLAYED[case]
     pixel, display = PIXEL.model_copy(update=of_pixel), DISPLAY.model_copy(update={"dots": 32} | of_display)
-    judging = Judging(metrics_named(["npwe"]), MetricOptions(detectability={"registrations": 1}))
+    judging = MetricRequest(metrics_named(["npwe"]), MetricOptions(detectability={"registrations": 1}))
     exposure = pixsim.Exposure(integration_s=4e-4) if case == "code 0" else EXPOSURE
-    chain = make_imaging_chain(with_disc(0.2, 25.0), CAMERA, pixel, exposure, display, judging=judging, without=EVEN, **more)
-    first, second = (METRICS["npwe"].compute(Judged(chain, chain.capture("seed", seed), judging))[0] for seed in (0, 1))
-    assert second == pytest.approx(first, rel=0.01 if chain.develop.tone else 1e-12)
+    chain = imaging_chain(with_disc(0.2, 25.0), CAMERA, pixel, exposure, display, metrics=judging, background=EVEN, **more)
+    first, second = (METRICS["npwe"].compute(FrameUnderTest.of(chain, chain.capture("seed", seed)))[0] for seed in (0, 1))
+    assert second == pytest.approx(first, rel=0.01 if chain.imaging.develop.tone else 1e-12)
 
-    count = 100 if chain.correction.is_on else 400
-    pictures = [np.asarray(chain.light(chain.capture("many", number)), float) for number in range(count)]
+    count = 100 if chain.imaging.correction.is_on else 400
+    pictures = [np.asarray(chain.development.light(chain.capture("many", number)), float) for number in range(count)]
     mean = np.mean(pictures, axis=0)
     power = np.mean([np.abs(np.fft.fft2(picture - mean)) ** 2 for picture in pictures], axis=0)
     power *= count / (count - 1) / mean.size / display.samples_per_deg**2
-    _, difference = _expected_light(Judged(chain, chain.capture("seed", 0), judging), chain)
+    drawn = chain.capture("seed", 0)
+    _, difference = _expected_light(drawn, chain.expected(drawn.integration_s))
     wanted = npwe(difference, power, display.samples_per_deg)
     error = 0.011 if of_pixel.get("row_noise_e") else 0.004
     assert first == pytest.approx(wanted, rel=3.6 * error * math.sqrt(400 / count))
@@ -248,7 +251,7 @@ def test_codes_near_0_have_the_mean_and_variance_of_frames(bits: int, read_noise
     own |= {"offset_fpn": 0.2 * read_noise_e / 20_000}
     chain, rng = chain_of(EVEN, PIXEL.model_copy(update=own)), np.random.default_rng(44)
     chain = replace(chain, physics=chain.physics.burst(exposures))
-    table = bottom_table(chain, 0.02, 0.0)
+    table = bottom_table(chain.expected(0.02), 0.0)
     assert table is not None
     sensor = sample_sensor(chain.physics, (600, 600), rng)
     for signal_e in exposures * read_noise_e * np.array([0.0, 0.5, 1.0, 3.0, 8.0]):
@@ -293,14 +296,14 @@ def test_codes_near_the_top_have_the_mean_and_variance_of_frames(own: dict[str, 
     chain, rng = chain_of(EVEN, PIXEL.model_copy(update=update)), np.random.default_rng(45)
     chain = replace(chain, physics=chain.physics.burst(exposures))
     end_e = chain.physics.saturation_e
-    table = top_table(chain, 0.02, end_e)
+    table = top_table(chain.expected(0.02), end_e)
     assert table is not None
     sensor = sample_sensor(chain.physics, (600, 600), rng)
     for signal_e in end_e * np.array([0.9, 0.97, 1.0, 1.02, 1.1]):
         frame_dn = read_out(np.full(sensor.shape, signal_e), 0.02, sensor, rng)
         dark_e = chain.physics.dark_current_e_per_s * 0.02
         frame_e = (frame_dn - chain.physics.black_level_dn) / chain.physics.dn_per_e - dark_e
-        before_e2 = variance_of_pixels_e2(chain, signal_e, 0.02)
+        before_e2 = variance_of_pixels_e2(chain.physics, signal_e, 0.02)
         mean, variance, *_ = (float(values) for values in code_moments([table], np.array(signal_e), before_e2))
         assert frame_e.mean() == pytest.approx(mean, abs=(4 / 600 + 5e-3) * math.sqrt(before_e2))
         assert frame_e.var() == pytest.approx(variance, rel=0.05, abs=1e-3 * before_e2)
@@ -322,16 +325,16 @@ def test_detectability_of_what_clips_is_the_ratio_of_the_best_template_in_frames
     pixel = PIXEL.model_copy(update=SMALL_WELL | ENDS[end] | {"prnu": own.get("prnu", 0.0)})
     pixel = pixel.model_copy(update={"column_fpn": columns_e / pixel.full_well_e})
     y, x = np.mgrid[:side, :side] - (side - 1) / 2
-    judging = Judging(metrics_named(["detectability"]))
+    judging = MetricRequest(metrics_named(["detectability"]))
     with warnings.catch_warnings(action="ignore"):  # an ADC that ends below the well
         chain = chain_of(EVEN, pixel, EVEN, judging)
     background_e = np.full((side, side), 2000.0 * of_end)
     target_e = background_e * (1 - 0.05 * (np.hypot(y, x) < 2.5))
-    chain = replace(chain, signal_e_per_s=target_e / time_s, without_e_per_s=background_e / time_s)
-    expected = _d_prime(chain, time_s)
+    chain = replace(chain, signal_e_per_s=target_e / time_s, background_e_per_s=background_e / time_s)
+    expected = _d_prime(chain.expected(time_s))
 
-    tables = code_tables(chain, time_s, target_e, background_e)
-    before_e2 = variance_of_pixels_e2(chain, background_e, time_s)
+    tables = code_tables(chain.expected(time_s), target_e, background_e)
+    before_e2 = variance_of_pixels_e2(chain.physics, background_e, time_s)
     moments = [code_moments(tables, signal_e, before_e2) for signal_e in (target_e, background_e)]
     column = np.arange(side**2) % side
     same_column = column[:, None] == column
@@ -360,11 +363,11 @@ def test_pixels_with_the_same_certain_code_in_both_pictures_count_nothing() -> N
     for columns_e in (0.0, 5.0):
         update = SMALL_WELL | ENDS["ADC"] | {"column_fpn": columns_e / 4000.0, "full_well_e": 4000.0}
         with warnings.catch_warnings(action="ignore"):
-            chain = chain_of(EVEN, PIXEL.model_copy(update=update), EVEN, Judging(metrics_named(["detectability"])))
+            chain = chain_of(EVEN, PIXEL.model_copy(update=update), EVEN, MetricRequest(metrics_named(["detectability"])))
         target_e, background_e = np.full((20, 20), 950.0), np.full((20, 20), 1000.0)
         target_e[:, 10:], background_e[:, 10:] = 9900.0, 10000.0
         d_prime = [
-            _d_prime(replace(chain, signal_e_per_s=part[0] / 0.02, without_e_per_s=part[1] / 0.02), 0.02)
+            _d_prime(replace(chain, signal_e_per_s=part[0] / 0.02, background_e_per_s=part[1] / 0.02).expected(0.02))
             for part in ((target_e, background_e), (target_e[:, :10], background_e[:, :10]))
         ]
         assert d_prime[0] == pytest.approx(d_prime[1], rel=1e-9)
@@ -372,13 +375,13 @@ def test_pixels_with_the_same_certain_code_in_both_pictures_count_nothing() -> N
 
 def test_information_and_quanta_do_not_jump_at_the_end_of_the_well() -> None:
     """From 0.1 % below the end to 0.1 % above it, a tenth of the noise: less, by a few per cent; far beyond it nothing is left."""
-    chain, judging = chain_of(EVEN), Judging(metrics_named(["information"]))
+    chain = chain_of(EVEN)
     end_e = chain.physics.saturation_e
     found = []
     for of_end in (0.999, 1.001, 1.1):
         at = replace(chain, exposure=pixsim.Exposure(integration_s=of_end * end_e / float(chain.signal_e_per_s.max())))
-        bits = METRICS["information"].compute(Judged(at, at.capture("a"), judging))[0]
-        found.append((bits, float(neq_along(at, at.exposure.integration_s)[1][1])))
+        bits = METRICS["information"].compute(FrameUnderTest.of(at, at.capture("a")))[0]
+        found.append((bits, float(neq_along(at.expected(at.exposure.integration_s))[1][1])))
     for below, above in zip(*found[:2], strict=True):
         assert 0.8 * below < above < below
     assert found[2][0] == 0.0
@@ -402,25 +405,25 @@ def test_factor_of_a_contrast_is_given_where_such_a_target_may_be(
 ) -> None:
     """5/d′ where no picture clips and no light is negative; else 1e12, and the reason."""
     options = MetricOptions(detectability={"registrations": 1, "threshold": threshold})
-    judging = Judging(metrics_named(["detectability"]), options)
+    judging = MetricRequest(metrics_named(["detectability"]), options)
     image, without = (light(background * each.data[..., 0] / 2e-4) for each in (with_disc(contrast), EVEN))
     with warnings.catch_warnings(action="ignore"):  # of light that the display clips
         chain = chain_of(image, without=without, judging=judging)
-    judged = Judged(chain, chain.capture("a"), judging)
+    judged = FrameUnderTest.of(chain, chain.capture("a"))
     d_prime, _, column = METRICS["detectability"].compute(judged)
-    factor, cause = contrast_factor(chain, 0.02, d_prime, options.detectability)
+    factor, cause = contrast_factor(chain.expected(0.02), d_prime)
     assert cause == reason
     assert column == factor == (FARTHEST if reason else pytest.approx(threshold / d_prime, rel=1e-12))
 
 
 def test_factor_keeps_to_the_contrast_that_a_scene_states() -> None:
     """A blurred target of -0.5 is -0.05 in the light: twice as much may be, four times as much not, for all that pixels show."""
-    options = MetricOptions(detectability={"registrations": 1}).detectability
+    options = MetricOptions(detectability={"registrations": 1})
     for times, reason in ((1.9, ""), (2.1, "a target cannot be darker than black")):
         image = with_disc(-0.05)
         image.header["parameters"] = {"contrast": "-0.5"}
-        chain = chain_of(image, without=EVEN, judging=Judging(metrics_named(["detectability"])))
-        assert contrast_factor(chain, 0.02, options.threshold / times, options)[1] == reason
+        chain = chain_of(image, without=EVEN, judging=MetricRequest(metrics_named(["detectability"]), options))
+        assert contrast_factor(chain.expected(0.02), options.detectability.threshold / times)[1] == reason
 
 
 @pytest.mark.parametrize("black_level_dn", [0.0, 64.0])
@@ -432,13 +435,13 @@ def test_detectability_in_the_dark_is_that_of_frames(black_level_dn: float) -> N
     pixel = PIXEL.model_copy(update={"black_level_dn": black_level_dn})
     dim = pixsim.Exposure(integration_s=2e-5)
     levels = light(np.full((200, 200), 1.0)), light(np.full((200, 200), 0.2))
-    judging = Judging(metrics_named(["detectability"]), MetricOptions(detectability={"registrations": 1}))
+    judging = MetricRequest(metrics_named(["detectability"]), MetricOptions(detectability={"registrations": 1}))
     chain = replace(chain_of(levels[0], pixel, levels[1], judging), exposure=dim)
-    expected = METRICS["detectability"].compute(Judged(chain, chain.capture("a"), judging))[0]
-    assert chain.without_e_per_s is not None
+    expected = METRICS["detectability"].compute(FrameUnderTest.of(chain, chain.capture("a")))[0]
+    assert chain.background_e_per_s is not None
     drawn = [
         np.stack([replace(chain, signal_e_per_s=rate).capture(name, k).dn for k in range(60)]).astype(float)
-        for name, rate in (("with", chain.signal_e_per_s), ("without", chain.without_e_per_s))
+        for name, rate in (("with", chain.signal_e_per_s), ("without", chain.background_e_per_s))
     ]
     d_prime = (drawn[0].mean() - drawn[1].mean()) * math.sqrt(drawn[0][0].size / ((drawn[0].var() + drawn[1].var()) / 2))
     assert expected == pytest.approx(d_prime, rel=0.03)
@@ -505,7 +508,7 @@ def test_visual_noise_has_no_shading_that_is_corrected() -> None:
     pixel = Pixel.model_validate(PIXEL.model_dump(exclude_unset=True) | quiet)
     bright, camera = light(np.full((200, 200), 1e4)), Camera(die_mm=0.4, f_number=2.8, focal_length_mm=0.5)
     display = DISPLAY.model_copy(update={"white_cd_per_m2": 1e4 * WHITE})
-    even = make_imaging_chain(bright, camera, pixel, EXPOSURE, display).even
+    even = imaging_chain(bright, camera, pixel, EXPOSURE, display).development.flat_field
     assert even is not None
     assert np.ptp(even) > 0.5
     for correction in (None, pixsim.Correction(flat_frames=10)):
@@ -573,17 +576,18 @@ def test_information_of_the_scene_s_own_spectrum_has_no_other_contrasts() -> Non
 
 def test_information_of_a_flat_spectrum_is_its_closed_form() -> None:
     """½∬ log₂(1 + S|T|²/(N + A)) of an even spectrum, by the mean over points in place of Simpson's rule."""
-    chain = chain_of(EVEN)
-    judging = Judging(metrics_named(["information"]), MetricOptions(information={"corner_cy_per_mm": 1e5}))
-    judged = Judged(chain, chain.capture("a"), judging)
+    judging = MetricRequest(metrics_named(["information"]), MetricOptions(information={"corner_cy_per_mm": 1e5}))
+    chain = chain_of(EVEN, judging=judging)
+    frame = chain.expected(0.02)
+    judged = FrameUnderTest.of(chain, chain.capture("a"))
     bits = METRICS["information"].compute(judged)[0]
     mean_e = 0.02 * float(chain.signal_e_per_s.mean())
     noise = (mean_e + 16.0 + 1 / (12 * chain.physics.dn_per_e**2)) * 0.004**2
     white = (0.15 * mean_e) ** 2 / (2 * math.pi * math.log(2)) / 1e10  # far below the corner the spectrum is even
     axis = np.linspace(-125.0, 125.0, 501)
-    seen = white * sensor_mtf(chain, axis, axis[:, None]) ** 2
+    seen = white * sensor_mtf(frame, axis, axis[:, None]) ** 2
     folded = sum(
-        white * sensor_mtf(chain, axis + 250.0 * i, axis[:, None] + 250.0 * j) ** 2
+        white * sensor_mtf(frame, axis + 250.0 * i, axis[:, None] + 250.0 * j) ** 2
         for i in range(-2, 3)
         for j in range(-2, 3)
         if i or j
@@ -595,14 +599,15 @@ def test_information_of_a_flat_spectrum_is_its_closed_form() -> None:
 def test_neq_is_the_quanta_less_noise_and_blur() -> None:
     """q²/(q + 16 + quantisation) a pixel, times the squared MTF: of shot noise alone the quanta. To rounding."""
     chain = chain_of(EVEN)
-    frequency, neq = neq_along(chain, 0.02)
+    frame = chain.expected(0.02)
+    frequency, neq = neq_along(frame)
     quanta = 0.02 * float(chain.signal_e_per_s.mean())
     at_0 = quanta**2 / (quanta + 16.0 + 1 / (12 * chain.physics.dn_per_e**2)) / 0.004**2
     assert frequency[[0, -1]].tolist() == [0.0, 125.0]
-    np.testing.assert_allclose(neq, at_0 * sensor_mtf(chain, frequency, np.zeros(1)) ** 2, rtol=1e-9)
+    np.testing.assert_allclose(neq, at_0 * sensor_mtf(frame, frequency, np.zeros(1)) ** 2, rtol=1e-9)
     lens = float(pixsim.optics.diffraction_otf(125.0, 550.0, CAMERA.effective_f_number))
     assert neq[-1] == pytest.approx(at_0 * (lens * 2 / math.pi) ** 2, rel=1e-4), "and the sinc of a pixel at Nyquist"
-    assert np.isnan(neq_along(chain, 1e3)[1]).all(), "all pixels are full"
+    assert np.isnan(neq_along(chain.expected(1e3))[1]).all(), "all pixels are full"
 
 
 def test_veil_is_noise_and_no_signal_to_quanta_and_information() -> None:
@@ -613,12 +618,12 @@ def test_veil_is_noise_and_no_signal_to_quanta_and_information() -> None:
     g, outside = 0.2, 3.0
     camera = CAMERA.model_copy(update={"veiling_glare": g, "veiling_glare_outside": outside})
     plain = chain_of(EVEN)
-    chain = make_imaging_chain(EVEN, camera, PIXEL, EXPOSURE, DISPLAY, judging=Judging(metrics_named(["information"])))
+    chain = imaging_chain(EVEN, camera, PIXEL, EXPOSURE, DISPLAY, metrics=MetricRequest(metrics_named(["information"])))
     own = 0.02 * float(plain.signal_e_per_s.mean())
     of_pixels = own * (1 + g * outside)
     assert 0.02 * float(chain.signal_e_per_s.mean()) == pytest.approx(of_pixels, rel=1e-6)
     noise = of_pixels + 16.0 + 1 / (12 * chain.physics.dn_per_e**2)
-    assert neq_along(chain, 0.02)[1][0] == pytest.approx((own * (1 - g)) ** 2 / noise / 0.004**2, rel=1e-6)
+    assert neq_along(chain.expected(0.02))[1][0] == pytest.approx((own * (1 - g)) ** 2 / noise / 0.004**2, rel=1e-6)
     found = [
         pixsim.evaluate(EVEN, each, PIXEL, EXPOSURE, DISPLAY, metrics=["information"]).metrics["information"]
         for each in (CAMERA, camera.model_copy(update={"veiling_glare_outside": 0.0}), camera)
@@ -632,13 +637,14 @@ def test_veil_takes_contrast_from_the_surfaces_of_niirs() -> None:
     camera = CAMERA.model_copy(update={"veiling_glare": g, "object_distance_m": 1000.0})
     own = camera.without_veil, camera
     found = [pixsim.evaluate(EVEN, each, PIXEL, EXPOSURE, DISPLAY, metrics=["niirs"]).metrics["niirs"] for each in own]
-    chain = make_imaging_chain(EVEN, camera.without_veil, PIXEL, EXPOSURE, DISPLAY)
+    chain = imaging_chain(EVEN, camera.without_veil, PIXEL, EXPOSURE, DISPLAY)
     white, even = 0.02 * chain.white_e_per_s, 0.02 * float(chain.signal_e_per_s.mean())
     fixed = 16.0 + 1 / (12 * chain.physics.dn_per_e**2)
     plain = 0.08 * white / math.sqrt(0.15 * white + fixed)
     veiled = 0.08 * white * (1 - g) / math.sqrt(0.15 * white * (1 - g) + g * even + fixed)
     ground_m = 1e-6 * 4.0 / abs(camera.magnification)
-    along, mtf = _mtf_along(make_imaging_chain(EVEN, camera, PIXEL, EXPOSURE, DISPLAY, judging=Judging(metrics_named(["niirs"]))))
+    veiled_chain = imaging_chain(EVEN, camera, PIXEL, EXPOSURE, DISPLAY, metrics=MetricRequest(metrics_named(["niirs"])))
+    along, mtf = _mtf_along(veiled_chain.expected(0.02))
     rer = relative_edge_response(along * 0.004, mtf)
     assert found == pytest.approx([niirs(rer, ground_m, snr) for snr in (plain, veiled)], rel=1e-6)
     assert found[0] > found[1]
@@ -685,7 +691,8 @@ def test_sensor_mtf_is_that_of_a_slanted_edge() -> None:
     measured = edge_mtf(chain.signal_e_per_s[10:-10, 10:-10], 5.0, frequency)
     along = frequency * 1e3 / 4.0
     tilt = math.radians(5.0)
-    np.testing.assert_allclose(measured, sensor_mtf(chain, along * math.cos(tilt), along * math.sin(tilt)), atol=0.02)
+    modelled = sensor_mtf(chain.expected(0.02), along * math.cos(tilt), along * math.sin(tilt))
+    np.testing.assert_allclose(measured, modelled, atol=0.02)
 
 
 def test_snr10_is_the_light_at_which_a_dot_has_it() -> None:
@@ -706,13 +713,13 @@ def test_snr10_is_the_light_at_which_a_dot_has_it() -> None:
 def test_visual_noise_falls_with_the_root_of_the_light() -> None:
     """Shot noise alone, relative to white: twice as little in four times the light. Both are frames of one stream."""
     noiseless = PIXEL.model_copy(update={"read_noise_e": 0.0, "bits": 16})
-    judging = Judging(metrics_named(["visual_noise"]))
+    judging = MetricRequest(metrics_named(["visual_noise"]))
     found = []
     for time_s in (0.005, 0.02):
         chain = chain_of(EVEN, noiseless, judging=judging)
         chain = replace(chain, exposure=pixsim.Exposure(integration_s=time_s))
         chain = replace(chain, screen=replace(chain.screen, display=DISPLAY.model_copy(update={"bits": 16})))
-        found.append(METRICS["visual_noise"].compute(Judged(chain, chain.capture("a"), judging))[0])
+        found.append(METRICS["visual_noise"].compute(FrameUnderTest.of(chain, chain.capture("a")))[0])
     assert found[0] / found[1] == pytest.approx(2.0, rel=0.1)
 
 
@@ -820,12 +827,12 @@ def test_score_refuses_another_picture() -> None:
 
 def test_pictures_are_scored_only_if_a_metric_asks(monkeypatch: pytest.MonkeyPatch) -> None:
     scored: list[object] = []
-    whole: Callable[..., Any] = ImagingChain.score_frame
-    monkeypatch.setattr(ImagingChain, "score_frame", lambda self, frame: scored.append(frame) or whole(self, frame))
+    whole: Callable[..., Any] = Development.score
+    monkeypatch.setattr(Development, "score", lambda self, frame: scored.append(frame) or whole(self, frame))
     for names, count in ((["information", "mtf50"], 0), (["information", "delta_e"], 1)):
-        judging = Judging(metrics_named(names), METRIC_OPTIONS)
+        judging = MetricRequest(metrics_named(names), METRIC_OPTIONS)
         chain = chain_of(EVEN, judging=judging)
-        statistics = Judged(chain, chain.capture("a"), judging).statistics()
+        statistics = FrameUnderTest.of(chain, chain.capture("a")).statistics()
         assert len(scored) == count
         assert {"information", "information_bits_per_deg2"} <= statistics.keys()
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.chains import imaging_chain
 
 import pixsim
 from pixsim.light.spectral import SpectralImage
@@ -25,7 +26,6 @@ from pixsim.show.render import text
 from pixsim.studies.noise_budgets import noise_budgets
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.noise_budget import (
     APERTURE,
     DARK,
@@ -71,17 +71,15 @@ def light(**header: Any) -> SpectralImage:
 
 
 def budget(image: SpectralImage, camera: Camera = CAMERA, display: Display = DISPLAY, **pixel: Any) -> NoiseBudget:
-    imaging = Imaging(camera, Pixel(**ALL | pixel), Exposure(integration_s=0.02, gain_db=0.0), display)
-    prepared = imaging.light(image)
-    found = noise_budget(image, camera, imaging.physics, prepared, imaging.chain(prepared), "budget", 1)
+    chain = imaging_chain(image, camera, Pixel(**ALL | pixel), Exposure(integration_s=0.02, gain_db=0.0), display)
+    found = noise_budget(chain, image, "budget", 1)
     assert sum(found.delta_e.values()) + found.remainder_delta_e == pytest.approx(found.mean_delta_e, abs=1e-12)
     return found
 
 
 def test_variances_add_up_to_that_of_frames() -> None:
     """All sources at once, of like size, within 2 %: half a standard error of 256 columns and rows, 12 sensors of them."""
-    imaging = Imaging(CAMERA, Pixel(**ALL), Exposure(integration_s=0.02), DISPLAY)
-    chain = imaging.chain(imaging.light(light()))
+    chain = imaging_chain(light(), CAMERA, Pixel(**ALL), Exposure(integration_s=0.02), DISPLAY)
     frames = [chain.capture("frames", number) for number in range(12)]
     assert max(frame.saturated_fraction for frame in frames) == 0
     assert min(frame.dn.min() for frame in frames) > 0
@@ -124,13 +122,11 @@ def test_blur_of_noise_reduction_is_its_own_and_not_that_of_the_lens(pattern: st
     found = []
     for denoise in ("none", "wiener_bound"):
         develop, pixel = Develop(denoise=denoise), Pixel(**ALL | ({"colour": filters} if pattern else {}))
-        imaging = Imaging(CAMERA, pixel, Exposure(integration_s=5e-5), DISPLAY, develop=develop)
-        prepared = imaging.light(image)
-        chain = imaging.chain(prepared)
-        found.append(noise_budget(image, CAMERA, imaging.physics, prepared, chain, "budget"))
+        chain = imaging_chain(image, CAMERA, pixel, Exposure(integration_s=5e-5), DISPLAY, develop=develop)
+        found.append(noise_budget(chain, image, "budget"))
     plain, reduced = found
     still = noiseless_frame(chain, 5e-5)
-    blur = chain.score_frame(still).mean_delta_e - undenoised(chain).score_frame(still).mean_delta_e
+    blur = chain.development.score(still).mean_delta_e - undenoised(chain).development.score(still).mean_delta_e
     assert REDUCTION not in plain.delta_e
     assert reduced.delta_e[REDUCTION] == pytest.approx(blur, abs=1e-12)
     assert blur > 0.05
@@ -145,9 +141,9 @@ def test_motion_takes_off_what_it_adds() -> None:
     found = []
     for speed in (400.0, 0.0):
         motion = Motion(image_um_per_s=(speed, 0.0), margin_um=20.0)
-        imaging = Imaging(CAMERA, Pixel(**ALL | QUIET), Exposure(integration_s=0.02), DISPLAY, motion=motion, border_um=40.0)
-        prepared = imaging.light(light())
-        found.append(noise_budget(light(), CAMERA, imaging.physics, prepared, imaging.chain(prepared), "budget"))
+        settings = {"motion": motion, "border_um": 40.0}
+        chain = imaging_chain(light(), CAMERA, Pixel(**ALL | QUIET), Exposure(integration_s=0.02), DISPLAY, **settings)
+        found.append(noise_budget(chain, light(), "budget"))
     moving, still = found
     assert MOTION not in still.delta_e
     assert moving.delta_e[MOTION] > 0.05

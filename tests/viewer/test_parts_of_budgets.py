@@ -6,20 +6,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.chains import imaging_chain
 
 from pixsim.light.spectral import SpectralImage, colour_matching, d65, luminous_weight
 from pixsim.optics import irradiance_factor
 from pixsim.optics.camera import Camera
 from pixsim.sensor.collection import Collection, ColourCollection
 from pixsim.sensor.colour import Layout
-from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.every_pixel import neighbours
 from pixsim.viewer.noise_budget import BLUR, COLOUR_ERROR, CROSSTALK, MOSAIC, NOISE, noise_budget
-from pixsim.viewer.score import chain_at_pitch, prepare_scene
 
 NM = np.arange(402.5, 700.0, 5.0)
 CAMERA = Camera(die_mm=0.1)
@@ -52,10 +50,8 @@ def parts(colour: dict[str, Any] | None, **fields: Any) -> dict[str, float]:
         NM, np.full(NM.size, 5.0), 100 / 64, factors=(np.array([reddish, bluish]) * white, pictures), header=header
     )
     bare = {"technology": "4t-bsi", "pitch_um": 2.0, "stack": {"enabled": False}, "bits": 16, "colour": colour}
-    physics = derive(Pixel(**bare | fields))
-    light = prepare_scene(image, CAMERA, physics, DISPLAY)
-    chain = chain_at_pitch(light, physics, Exposure(), develop=Develop(matrix="least_squares"))
-    budget = noise_budget(image, CAMERA, physics, light, chain, "parts", 1)
+    chain = imaging_chain(image, CAMERA, Pixel(**bare | fields), display=DISPLAY, develop=Develop(matrix="least_squares"))
+    budget = noise_budget(chain, image, "parts", 1)
     assert sum(budget.parts.values()) == pytest.approx(budget.mean_delta_e, abs=1e-12)
     return budget.parts
 

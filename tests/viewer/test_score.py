@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.chains import imaging, imaging_chain
 
 from pixsim import optics
 from pixsim.base import arrays
@@ -19,10 +20,13 @@ from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import Columns, diffracted_rate, ideal_rate, integrate_pixels
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.viewer import display as displays, score
+from pixsim.viewer import display as displays, evaluate as evaluating
+from pixsim.viewer.chain import make_chain
+from pixsim.viewer.delta_e_statistics import percentiles
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.metrics import percentiles
+from pixsim.viewer.scene_light import SceneLight, prepare_scene
 from pixsim.viewer.scielab import delta_e, filtered_lab
+from pixsim.viewer.screen import white_header
 
 NM = np.arange(400.0, 721.0, 10)
 CAMERA = Camera(die_mm=2.7136)
@@ -42,25 +46,25 @@ def chart(n: int, header: bool = True) -> SpectralImage:
 
 def test_evaluate_keeps_what_calls_share_and_sees_changed_light(monkeypatch):
     prepared = []
-    prepare = score.prepare_scene
-    monkeypatch.setattr(score, "prepare_scene", lambda *given, **named: prepared.append(given) or prepare(*given, **named))
-    score._kept_chains.clear()
+    chain_of = evaluating.make_chain
+    monkeypatch.setattr(evaluating, "make_chain", lambda *given: prepared.append(given) or chain_of(*given))
+    evaluating._recent_chains.clear()
     light, pixel = chart(96), Pixel(pitch_um=28.0)
     settings = CAMERA, pixel, Exposure(), Display(dots=96)
-    first = score.evaluate(light, *settings, seed=1)
+    first = evaluating.evaluate(light, *settings, seed=1)
     first.ideal[:] = 0.0  # of the caller
-    again, other = score.evaluate(chart(96), *settings, seed=1), score.evaluate(light, *settings, seed=2)
+    again, other = evaluating.evaluate(chart(96), *settings, seed=1), evaluating.evaluate(light, *settings, seed=2)
     assert len(prepared) == 1, "equal light in another object is the same light"
     assert again.mean_delta_e == first.mean_delta_e != other.mean_delta_e
     assert again.ideal.max() > 0.5
     light.factors[1][:] = light.factors[1][:, ::-1]  # in place: the same values elsewhere
-    flipped = score.evaluate(light, *settings, seed=1)
+    flipped = evaluating.evaluate(light, *settings, seed=1)
     assert len(prepared) == 2
-    score._kept_chains.clear()
-    assert score.evaluate(light, *settings, seed=1).mean_delta_e == flipped.mean_delta_e != first.mean_delta_e
-    for number in range(2 * score.KEPT_CHAINS):
-        score.evaluate(light, CAMERA, pixel, Exposure(max_integration_s=0.01 * (number + 1)), Display(dots=96))
-    assert len(score._kept_chains) == score.KEPT_CHAINS
+    evaluating._recent_chains.clear()
+    assert evaluating.evaluate(light, *settings, seed=1).mean_delta_e == flipped.mean_delta_e != first.mean_delta_e
+    for number in range(2 * evaluating.MAX_CHAINS):
+        evaluating.evaluate(light, CAMERA, pixel, Exposure(max_integration_s=0.01 * (number + 1)), Display(dots=96))
+    assert len(evaluating._recent_chains) == evaluating.MAX_CHAINS
 
 
 # --- Percentiles ---
@@ -94,7 +98,7 @@ def test_percentiles_match_numpy(values):
 def test_evaluate_matches_filtered_colour_images():
     """Computed through XYZ in three channels and two complete CIELAB pictures."""
     display = Display(dots=128)
-    actual = score.evaluate(chart(256), CAMERA, Pixel(pitch_um=15.0), display=display, seed=1)
+    actual = evaluating.evaluate(chart(256), CAMERA, Pixel(pitch_um=15.0), display=display, seed=1)
     view = {"white_xyz": displays.WHITE_XYZ, "samples_per_deg": display.samples_per_deg}
     ideal, image = (filtered_lab(displays.to_xyz(item), **view) for item in (actual.ideal, actual.image))
     np.testing.assert_allclose(actual.delta_e, np.sqrt(((ideal - image) ** 2).sum(axis=2)), rtol=0, atol=1e-10)
@@ -105,27 +109,26 @@ def test_evaluate_matches_filtered_colour_images():
     "pixel", [{"pitch_um": 15.0}, {"technology": "4t-bsi", "pitch_um": 15.0, "stack": {"enabled": False}, "colour": COLOUR}]
 )
 def test_records_of_an_evaluation_pass_the_checks_that_it_leaves_out(pixel):
-    physics, display = derive(Pixel(**pixel)), Display(dots=128)
-    chain = score.chain_at_pitch(score.prepare_scene(chart(256), CAMERA, physics, display), physics, Exposure())
+    chain = imaging_chain(chart(256), CAMERA, Pixel(**pixel), display=Display(dots=128))
     sensor, seen = chain.sensor(1), chain.simulate(1)
     for record in (sensor, seen.frame, seen):
         checked = replace(record)
         assert vars(checked).keys() == vars(record).keys()
         assert all(vars(checked)[name] is value or vars(checked)[name] == value for name, value in vars(record).items())
     with pytest.raises(TypeError, match="missing"):
-        made(type(sensor), physics)
+        made(type(sensor), chain.physics)
 
 
 def test_prepare_scene_without_running_integral_is_equal(monkeypatch):
-    physics, display = derive(Pixel(pitch_um=15.0)), Display(dots=128)
-    light = score.prepare_scene(chart(256), CAMERA, physics, display)
-    kept = score.chain_at_pitch(light, physics, Exposure()).signal_e_per_s
+    asked = imaging(CAMERA, Pixel(pitch_um=15.0), display=Display(dots=128))
+    light = prepare_scene(asked, SceneLight(chart(256)))
+    kept = make_chain(asked, light).signal_e_per_s
     assert light.lights[0].running_integral is not None
     monkeypatch.setattr(integration, "MAX_STORED_SAMPLES", 256**2 - 1)
-    light = score.prepare_scene(chart(256), CAMERA, physics, display)
+    light = prepare_scene(asked, SceneLight(chart(256)))
     assert light.lights[0].running_integral is None
     # 256² sums in another order.
-    np.testing.assert_allclose(score.chain_at_pitch(light, physics, Exposure()).signal_e_per_s, kept, rtol=2e-12)
+    np.testing.assert_allclose(make_chain(asked, light).signal_e_per_s, kept, rtol=2e-12)
 
 
 @pytest.mark.parametrize("bands", [0, 5])
@@ -160,20 +163,20 @@ def test_memory_of_large_film_is_bounded(monkeypatch):
     On one thread: each other one works on a strip of its own.
     """
     monkeypatch.setattr(arrays, "threads", lambda: 1)
-    n, physics, display = 1536, derive(Pixel(pitch_um=5.3)), Display(dots=256)
-    image, silent = chart(n), chart(n, header=False)
-    light = score.prepare_scene(image, CAMERA, physics, display)
+    n, asked = 1536, imaging(CAMERA, Pixel(pitch_um=5.3), display=Display(dots=256))
+    image, silent, physics = chart(n), chart(n, header=False), asked.physics
+    light = prepare_scene(asked, SceneLight(image))
     rate = light.rate_e_per_s_um2
     grid, edges_um = (light.sample_pitch_um, 5.3, 3.0), light.screen.dot_edges_um
     on_demand = Columns(rate.shape, lambda first, last: rate[:, first:last])
     works = {
-        "project": (lambda: score.prepare_scene(image, CAMERA, physics, display), 1.1, 1.6),
+        "project": (lambda: prepare_scene(asked, SceneLight(image)), 1.1, 1.6),
         "ideal_rate": (lambda: ideal_rate(image, physics), 1.0, 1.5),
         "diffraction": (lambda: diffracted_rate(image, CAMERA, physics), 1.0, 1.3),
         "pixels": (lambda: integrate_pixels(rate, *grid), 0.4, 0.8),
         "pixels on demand": (lambda: integrate_pixels(on_demand, *grid), 0.4, 0.8),
-        "ideal image": (lambda: displays.ideal_luminance(image, CAMERA, physics, display, edges_um), 1.0, 1.6),
-        "white": (lambda: score.white_header([score.SeenPicture(silent, CAMERA, physics)], display), 1.0, 1.6),
+        "ideal image": (lambda: displays.ideal_luminance(asked, image, edges_um), 1.0, 1.6),
+        "white": (lambda: white_header([(asked, silent)]), 1.0, 1.6),
         "fall-off": (lambda: optics.field_factor((n, n), 1.0, 4.0, 4.0, 0.0), 1.0, 1.3),
     }
     with pytest.warns(UserWarning, match="does not define its white"):

@@ -6,17 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.chains import imaging_chain, scene_of
 
 import pixsim
 from pixsim.light.spectral import SpectralImage
-from pixsim.sensor.pixel import derive
 from pixsim.studies.series import scenes_of, series_of
 from pixsim.studies.study_settings import Study
 from pixsim.viewer import scielab
 from pixsim.viewer.develop_options import DEVELOP, Develop
 from pixsim.viewer.display import RGB_FROM_XYZ, WHITE_XYZ, out_of_gamut_share, rgb_to_xyz
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.score import allows_single, chain_at_pitch, make_imaging_chain, prepare_scene
+from pixsim.viewer.screen import allows_single
 
 VIEW = {"white_xyz": WHITE_XYZ, "samples_per_deg": 23.0}
 SIDE = 127  # a prime number, which the transforms find hardest
@@ -107,7 +107,7 @@ def test_a_tolerance_below_the_bound_takes_float64():
         study = Study.model_validate(table | {"tolerance_delta_e": tolerance})
         scenes = scenes_of(study, image(), camera)
         keys += series_of(study, scenes)[0].fingerprints.shown
-        kinds.append(scenes.single)
+        kinds.append(scenes.imaging.single)
     assert kinds == [True, True, False]
     assert keys[0] == keys[1] != keys[2]
 
@@ -115,11 +115,10 @@ def test_a_tolerance_below_the_bound_takes_float64():
 def test_a_single_frame_takes_float64():
     """`evaluate` and a run score one frame, which saves nothing worth an error."""
     pixel, display = pixsim.Pixel(pitch_um=84.8, infrared_cut_nm=700), Display(white_cd_per_m2=1000, dots=32)
-    chain = make_imaging_chain(image(), pixsim.Camera(), pixel, pixsim.Exposure(), display)
+    chain = imaging_chain(image(), pixsim.Camera(), pixel, pixsim.Exposure(), display)
     assert not chain.screen.single
     assert chain.screen.ideal_lab.dtype == np.float64
-    physics = derive(pixel)
-    screens = [prepare_scene(image(), pixsim.Camera(), physics, display, full, single=True).screen for full in (False, True)]
+    screens = [scene_of(image(), pixsim.Camera(), pixel, display, full=full, single=True).screen for full in (False, True)]
     assert [screen.single for screen in screens] == [True, False]
     assert [screen.ideal_lab.dtype == np.float32 for screen in screens] == [True, False]
 
@@ -151,15 +150,14 @@ def lit(kind: str) -> SpectralImage:
 @pytest.mark.parametrize("kind", ["ramp", "bars"])
 def test_single_precision_of_frame_to_score(kind, name):
     display, (pixel, develop) = Display(white_cd_per_m2=1000, dots=128), CHAINS[name]
-    physics = derive(pixsim.Pixel(pitch_um=15.0, infrared_cut_nm=700, **pixel))
+    sensor = pixsim.Pixel(pitch_um=15.0, infrared_cut_nm=700, **pixel)
     frames = []
     for single in (False, True):
-        light = prepare_scene(lit(kind), pixsim.Camera(), physics, display, single=single)
-        chain = chain_at_pitch(light, physics, pixsim.Exposure(), develop=develop)
+        chain = imaging_chain(lit(kind), pixsim.Camera(), sensor, display=display, single=single, develop=develop)
         frame = chain.capture(5)
-        shown_light = chain.light(frame)
+        shown_light = chain.development.light(frame)
         assert shown_light.dtype == (np.float32 if single and name != "menon2007" else np.float64)
-        frames.append((shown_light, chain.score_frame(frame)))
+        frames.append((shown_light, chain.development.score(frame)))
     (exact_light, exact), (single_light, found) = frames
     np.testing.assert_array_equal(found.frame.dn, exact.frame.dn)
     np.testing.assert_allclose(single_light, exact_light, rtol=1e-5, atol=2e-6)  # a matrix has terms of both signs
@@ -186,15 +184,14 @@ def test_grey_of_float32_is_within_the_gamut():
 def test_light_beyond_float32_takes_float64(name):
     """The noise of a picture whose white has 1e-60 electrons is 1e60 times white: as float32, infinite beside minus infinite."""
     display, (pixel, develop) = Display(white_cd_per_m2=1000, dots=128), CHAINS[name]
-    physics = derive(pixsim.Pixel(pitch_um=15.0, infrared_cut_nm=700, **pixel))
+    sensor = pixsim.Pixel(pitch_um=15.0, infrared_cut_nm=700, **pixel)
     shown_light = []
     for single in (False, True):
-        light = prepare_scene(lit("ramp"), pixsim.Camera(), physics, display, single=single)
-        chain = chain_at_pitch(light, physics, pixsim.Exposure(), develop=develop)
+        chain = imaging_chain(lit("ramp"), pixsim.Camera(), sensor, display=display, single=single, develop=develop)
         whites = tuple(1e-60 * white for white in chain.whites_e_per_s)
         dark = replace(chain, whites_e_per_s=whites)
         frame = chain.capture(5)
-        shown_light.append(dark.light(frame))
-        assert np.isfinite(dark.score_frame(frame).mean_delta_e)
+        shown_light.append(dark.development.light(frame))
+        assert np.isfinite(dark.development.score(frame).mean_delta_e)
     np.testing.assert_array_equal(*shown_light)
     assert np.abs(shown_light[0]).max() > np.finfo(np.float32).max

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.chains import imaging
 from helpers.commands import command
 from helpers.sheets import sheet
 
@@ -21,14 +22,12 @@ from pixsim.optics import irradiance_factor
 from pixsim.optics.camera import Camera
 from pixsim.optics.exchange import write_npz
 from pixsim.scene.packaged import packaged_scenes
-from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.light_level import LightLevel
-from pixsim.viewer.develop import rendition_of
 from pixsim.viewer.display import XYZ_FROM_RGB
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.score import SeenPicture, fraction_beyond_white, ideal_on_dots, white_header
+from pixsim.viewer.screen import amount_of_white, fraction_beyond_white, ideal_on_dots, screen_rendition, white_header
 
 NM = np.arange(405.0, 900.0, 10.0)
 CAMERA, DISPLAY = Camera(focal_length_mm=4.0, die_mm=0.32), Display(dots=64)
@@ -62,15 +61,14 @@ def picture(spectrum: Array, relative: Array | None = None) -> SpectralImage:
 @pytest.mark.parametrize("sensor", PIXELS)
 def test_at_most_one_per_cent_of_the_ideal_image_is_beyond_an_unstated_white(light: str, sensor: str) -> None:
     """And more than that is beyond the next smaller number of two digits."""
-    image, physics = picture(LIGHTS[light]), derive(PIXELS[sensor])
+    image, asked = picture(LIGHTS[light]), imaging(CAMERA, PIXELS[sensor], display=DISPLAY)
     with pytest.warns(UserWarning, match="does not define its white"):
-        white = white_header([SeenPicture(image, CAMERA, physics)], DISPLAY)["luminance_cd_per_m2"]
+        white = white_header([(asked, image)])["luminance_cd_per_m2"]
     unit = 10.0 ** (math.floor(math.log10(white)) - 1)
     shares = []
     for cd_per_m2 in (white, white - unit):
-        display = DISPLAY.model_copy(update={"white_cd_per_m2": cd_per_m2})
-        rendition = None if physics.layout is None else rendition_of(image, physics.channels, display)
-        shares.append(fraction_beyond_white(ideal_on_dots(image, CAMERA, physics, display, physics.border_um, rendition)[1]))
+        seen = asked.changed(display=DISPLAY.model_copy(update={"white_cd_per_m2": cd_per_m2}))
+        shares.append(fraction_beyond_white(ideal_on_dots(seen, image, screen_rendition(seen, image))[1]))
     assert shares[0] <= 0.01 < shares[1]
 
 
@@ -101,19 +99,20 @@ def test_run_and_evaluate_take_one_white_and_speak_to_their_caller(tmp_path: Pat
 
 
 def test_refusal_of_a_dark_picture_speaks_to_its_caller() -> None:
-    image, physics = picture(LIGHTS["daylight"], np.zeros((64, 64))), derive(PIXELS["silicon"])
+    image = picture(LIGHTS["daylight"], np.zeros((64, 64)))
+    seen = [(imaging(CAMERA, PIXELS["silicon"], display=DISPLAY), image)]
     with pytest.raises(pixsim.PixsimError, match=r"too dark to estimate it.*Set Display\(white_cd_per_m2=…\)\."):
-        white_header([SeenPicture(image, CAMERA, physics)], DISPLAY)
+        white_header(seen)
     with command_line(), pytest.raises(pixsim.PixsimError, match=r"Set --display\.white-cd-per-m2\."):
-        white_header([SeenPicture(image, CAMERA, physics)], DISPLAY)
+        white_header(seen)
 
 
 def test_sensors_share_the_largest_of_their_whites() -> None:
-    seen = [SeenPicture(picture(LIGHTS["2856 K"]), CAMERA, derive(pixel)) for pixel in PIXELS.values()]
+    seen = [(imaging(CAMERA, pixel, display=DISPLAY), picture(LIGHTS["2856 K"])) for pixel in PIXELS.values()]
     with pytest.warns(UserWarning, match="the largest of these sensors'"):
-        white = white_header(seen, DISPLAY)
+        white = white_header(seen)
     with pytest.warns(UserWarning, match="in the sensor's response, rounded up"):
-        each = [white_header([one], DISPLAY)["luminance_cd_per_m2"] for one in seen]
+        each = [white_header([one])["luminance_cd_per_m2"] for one in seen]
     assert white["luminance_cd_per_m2"] == max(each) > 1.2 * min(each)
 
 
@@ -138,10 +137,9 @@ def test_sensors_of_a_comparison_share_one_white(tmp_path: Path) -> None:
     first, result = white(files)
     assert first == white(files[::-1])[0]
     for sensor in result.sensors:
-        seen = SeenPicture(
-            sensor.irradiance, sensor.sensor.camera, sensor.score.physics, result.shown.lineup.border_um(sensor.sensor.camera)
-        )
-        assert np.mean(seen.amount(result.shown.lineup.settings.display) > first) <= 0.01
+        lineup, camera = result.shown.lineup, sensor.sensor.camera
+        seen = imaging(camera, sensor.score.physics.pixel, display=lineup.settings.display, border_um=lineup.border_um(camera))
+        assert np.mean(amount_of_white(seen, sensor.irradiance) > first) <= 0.01
 
 
 # --- light that nobody sees ---

@@ -1,0 +1,116 @@
+"""What clipping dark pixels at 0 DN does to a picture, and the black level that avoids it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from scipy.special import gammaincinv, gammaln, ndtr, ndtri
+
+from pixsim.sensor.code_moments import moments_of_codes
+from pixsim.sensor.noise import variance_e2
+from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.readout import MAX_BLACK, dark_spread_e, least_black_level_dn
+from pixsim.show.sentences import rounded
+from pixsim.viewer.scielab import xyz_to_lab
+
+DARK_NODES = 64  # of equal weight, for the ordinary pixels and for the hot ones
+FEW_E = 100.0  # the Poisson law is summed up to this dark charge; above, 10 σ from 0, a normal law clips nothing by itself
+POISSON_TERMS = 200  # 10 σ above `FEW_E`
+NO_NOISE_DN = 1e-9  # σ used in place of 0
+
+
+def dark_clip(physics: PixelPhysics, integration_s: float, white_e: float) -> dict[str, float]:
+    """Return the effect of clipping dark pixels at 0 DN, and the black level that avoids it, as in score.json.
+
+    A dark level is the sum of the black level, dark charge (gamma-distributed by DSNU, with hot pixels, Poisson, never negative),
+    and normal reset noise, read noise and offsets. Of normal levels of mean µ and deviation σ (DN), the fraction Φ((½ - µ)/σ) is
+    at 0 DN. Rounding and clipping raise their mean by Σ Φ((-½ - j - µ)/σ) over j = 0, 1, …, which is σφ(µ/σ) - µΦ(-µ/σ) if σ is
+    many DN.
+
+    Of a burst the spread and `too_bright_e` are those of the frame, all else that of each exposure.
+
+    white_e : mean electrons of the scene's white in this time
+
+    spread_e, spread_dn : `dark_spread_e`
+    at_zero_fraction : fraction of dark pixels at 0 DN
+    too_bright_e : increase of the mean of a dark frame
+    of_display_white, lightness : that increase as luminance over display white (at most 1) and as CIE L*, before the display
+        clips and rounds; L* is the ΔE of an even black area
+    least_black_level_dn : `pixsim.sensor.least_black_level_dn`
+    gain_db : of the exposure, without which the black level would have room
+
+    >>> from pixsim.sensor.pixel import derive
+    >>> from pixsim import Pixel
+    >>> clip = dark_clip(derive(Pixel()), 0.03, white_e=5e4)  # no black level: half of the dark levels, σ of 209 e-
+    >>> round(clip["at_zero_fraction"], 2), round(clip["too_bright_e"]), clip["least_black_level_dn"]
+    (0.54, 71, 15)
+    """
+    count = physics.exposures
+    if count > 1:
+        clip = dark_clip(physics.burst(1), integration_s / count, white_e / count)
+        spread_e = dark_spread_e(physics, integration_s)
+        of_frame = {"spread_e": spread_e, "spread_dn": physics.dn_per_e * spread_e, "too_bright_e": count * clip["too_bright_e"]}
+        return clip | of_frame
+    p, gain = physics, physics.dn_per_e
+    noise_dn = gain * math.sqrt(variance_e2(p))
+    ordinary_e = p.dark_current_e_per_s * integration_s * p.dark_spread.ordinary_mean
+    dark_e = np.array([ordinary_e])
+    if p.dsnu > np.finfo(float).eps:  # as `sample_sensor` takes it
+        shape = p.dsnu**-2
+        dark_e = dark_e * gammaincinv(shape, (np.arange(DARK_NODES) + 0.5) / DARK_NODES) / shape
+    share = np.full(dark_e.size, 1.0 / dark_e.size)
+    if p.hot_pixel_fraction:
+        logarithm = p.hot_pixel_spread * ndtri((np.arange(DARK_NODES) + 0.5) / DARK_NODES)
+        of_hot = np.full(DARK_NODES, p.hot_pixel_fraction / DARK_NODES)
+        dark_e = np.concatenate([dark_e, ordinary_e * p.hot_pixel_median * np.exp(logarithm)])
+        share = np.concatenate([(1 - p.hot_pixel_fraction) * share, of_hot])
+    is_few = dark_e <= FEW_E
+    many, few = dark_e[~is_few], np.maximum(dark_e[is_few, None], np.finfo(float).tiny)
+    counts = np.arange(POISSON_TERMS)
+    poisson = (share[is_few, None] * np.exp(counts * np.log(few) - few - gammaln(counts + 1))).sum(axis=0)
+    charge_e = np.concatenate([counts, many])
+    weight = np.concatenate([poisson, share[~is_few]])
+    sigma_dn = np.sqrt(noise_dn**2 + gain**2 * np.concatenate([np.zeros(counts.size), many]))
+    level_dn, sigma_dn = p.pixel.black_level_dn + gain * charge_e, np.maximum(sigma_dn, NO_NOISE_DN)
+    at_zero, excess_dn = ndtr((0.5 - level_dn) / sigma_dn), moments_of_codes(-level_dn, sigma_dn)[0]  # codes below 0, mirrored
+    too_bright_e = float(weight @ excess_dn) / gain
+    of_white = min(too_bright_e / white_e, 1.0)
+    return {
+        "spread_e": dark_spread_e(p, integration_s),
+        "spread_dn": gain * dark_spread_e(p, integration_s),
+        "at_zero_fraction": float(weight @ at_zero),
+        "too_bright_e": too_bright_e,
+        "of_display_white": of_white,
+        "lightness": float(xyz_to_lab([of_white] * 3, np.ones(3))[0]),
+        "least_black_level_dn": least_black_level_dn(p, integration_s),
+        "gain_db": p.gain_db,
+    }
+
+
+HIDDEN_DN = 0.05  # shift of the dark mean that rounding hides: a sixth of its error, 1/√12 DN
+TAIL_SIGMAS = 0.01  # shift in units of the dark spread that a black level of 1.9 σ causes
+
+
+def clips_dark(dark: dict[str, float]) -> bool:
+    """Return whether a `dark_clip` is visible: larger than rounding errors and than the tail of the noise."""
+    clipped_e, spread_e = dark["too_bright_e"], dark["spread_e"]
+    return clipped_e * dark["spread_dn"] > HIDDEN_DN * spread_e and clipped_e > TAIL_SIGMAS * spread_e
+
+
+def clip_words(dark: dict[str, float], pixel: dict[str, Any], where: str = "") -> str:
+    """Return a `dark_clip` in words, with the black level that avoids it.
+
+    pixel : its settings
+    where : further words after the black level
+    """
+    black, needed = pixel["black_level_dn"], dark["least_black_level_dn"]
+    fits = needed <= MAX_BLACK * (2 ** pixel["bits"] - 1)
+    lacking = "less gain (exposure.gain_db)" if dark["gain_db"] else "more bits (pixel.bits)"
+    hint = f"set pixel.black_level_dn = {needed} to avoid this" if fits else f"avoiding this takes {lacking}"
+    return (
+        f"the black level of {black:g} DN clips dark noise{where}: {100 * dark['at_zero_fraction']:.0f} % of dark pixels "
+        f"are at 0 DN, which raises the dark mean by {rounded(dark['too_bright_e'])} e- "
+        f"(ΔE {rounded(dark['lightness'])} on uniform black, less on grey); {hint}"
+    )

@@ -1,0 +1,254 @@
+"""From a frame to its score: development, the dots of a screen, and the difference from the ideal picture."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from pixsim.base.arguments import made
+from pixsim.base.arrays import Array, stream
+from pixsim.base.errors import PixsimError, invalid
+from pixsim.sensor.collection import Collection, ColourCollection, shading_of
+from pixsim.sensor.colour import of_channels
+from pixsim.sensor.correction_options import NO_CORRECTION
+from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.readout import Frame, capture_from_rates, integration_time_s, lasting, make_frame, sample_sensor
+from pixsim.viewer import display as displays
+from pixsim.viewer.colour_matrix import metamerism_index
+from pixsim.viewer.develop import Rendition
+from pixsim.viewer.develop_steps import Developing, developed_planes, light_of_dots, noise_covariance
+from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.score import FrameScore
+from pixsim.viewer.screen import Screen, display_image, is_coloured
+from pixsim.viewer.sharpening import noise_gain
+from pixsim.viewer.tone import toned
+
+MIN_RADIUS_PX, MAX_RADIUS_PX = 0.1, 100.0  # of the blur of sharpening
+PHASES_PX = (-1 / 3, 0.0, 1 / 3)  # of dots on pixels
+PATCH_DOTS, MIN_PATCH_PX, MAX_PATCH_PX = 48, 96, 256  # of uniform frames that tell of noise: dots and pixels across
+
+
+@dataclass(frozen=True)
+class Development:
+    """How the frames of one pixel type become pictures on a screen, and their scores.
+
+    physics : of what is read, at the gain of the exposure
+    exposure : of the frames, whose time may be known
+    signal_e_per_s : expected light of every value of a frame, (rows, columns)
+    whites_e_per_s : electrons per second of the scene's white, on axis, in each channel
+    rendition : what the channels see of a chart; None for a monochrome sensor
+    collection : what the pixels' stack does to their light; None without a stack
+    """
+
+    imaging: Imaging
+    physics: PixelPhysics
+    exposure: Exposure
+    signal_e_per_s: Array = field(repr=False)
+    whites_e_per_s: tuple[float, ...]
+    screen: Screen
+    rendition: Rendition | None = None
+    collection: Collection | ColourCollection | None = field(default=None, repr=False)
+
+    @property
+    def white_e_per_s(self) -> float:
+        """Electrons per second of the scene's white on axis, in the mean over the channels' pixels."""
+        layout, whites = self.physics.layout, self.whites_e_per_s
+        return whites[0] if layout is None else float((layout.shares * np.array(whites)).sum())
+
+    @cached_property
+    def flat_field(self) -> Array | None:
+        """What each pixel collects of uniform light, relative to one on axis, (rows, columns); None without a stack."""
+        return None if self.collection is None else self.collection.relative(self.signal_e_per_s.shape)
+
+    @cached_property
+    def shading(self) -> Array | None:
+        """By what the display divides a frame, (rows, columns); None for nothing."""
+        corrects = self.screen.display.shading_correction
+        return shading_of(self.collection, self.signal_e_per_s.shape, self.imaging.correction) if corrects else None
+
+    @cached_property
+    def matrix(self) -> Array:
+        """Matrix from balanced channels to the light of the display's primaries, (3, C); only for colour sensors.
+
+        Raises PixsimError as `Rendition.matrix` does, with the pixel's pitch.
+        """
+        try:
+            return self._fitted_matrix()
+        except PixsimError as error:
+            hint = "" if self.collection is None else " Light between neighbours counts: larger pixels mix the channels less."
+            raise type(error)(f"pixels of {self.physics.read_pitch_um:g} µm: {error}{hint}") from None
+
+    def _fitted_matrix(self) -> Array:
+        assert self.rendition is not None
+        develop = self.imaging.develop
+        if develop.matrix != "noise_aware":
+            return self.rendition.matrix(develop)
+        time_s = integration_time_s(self.exposure, self.physics, float(self.signal_e_per_s.max()))
+        return self.rendition.matrix(develop, self.channel_covariance(time_s))
+
+    def channel_covariance(self, integration_s: float) -> Array:
+        """Return the covariance of the balanced channels on each patch of the chart, (P, C, C), as means over a dot.
+
+        In closed form, or, of noise reduction that adapts to the picture, of simulated frames.
+        """
+        assert self.rendition is not None
+        if self.imaging.develop.adapts:
+            return self._covariance_of_frames(integration_s)
+        empty = np.zeros(self.signal_e_per_s.shape, np.int32)
+        frame = make_frame(empty, 0.0, self.signal_e_per_s, self.physics, lasting(self.exposure, integration_s))
+        return noise_covariance(self.developing(frame, matrix=None), self.rendition.responses, self.screen.dot_um)
+
+    def _covariance_of_frames(self, integration_s: float) -> Array:
+        """Estimate `channel_covariance` by a frame of a uniform patch each, of a sensor of its own, without correction."""
+        layout, screen = self.physics.layout, self.screen
+        assert self.rendition is not None
+        assert layout is not None
+        pitch_um, cell = self.physics.read_pitch_um, max(layout.period)
+        dot_um = screen.dot_um or pitch_um
+
+        # A patch of whole unit cells, and the dots in it but for those at its edges.
+        side = cell * math.ceil(min(max(PATCH_DOTS * dot_um / pitch_um, MIN_PATCH_PX), MAX_PATCH_PX) / cell)
+        count = max(2, math.floor(side * pitch_um / dot_um) - 2)
+        edges_um = side * pitch_um / 2 + (np.arange(count + 1.0) - count / 2) * min(dot_um, side * pitch_um / count)
+        whole = replace(screen, size_um=(side * pitch_um, side * pitch_um), dot_edges_um=(edges_um, edges_um))
+        display = screen.display.model_copy(update={"dots": max(8, count)})  # decides on the order of the axes alone
+
+        rates = np.maximum(self.rendition.responses, 0.0) * np.array(self.whites_e_per_s)
+        exposure = lasting(self.exposure.steady, integration_s)
+        centred = replace(self.physics, pixel=self.physics.pixel.model_copy(update={"registration": None}))
+        imaging = self.imaging.changed(correction=NO_CORRECTION)
+        covariances = []
+        for number, patch_rates in enumerate(rates):
+            signal = of_channels(patch_rates, layout, (side * layout.planes, side))
+            key = "covariance of patches", number
+            sensor = sample_sensor(centred, signal.shape, stream(*key, "sensor"))
+            frame = capture_from_rates(signal, sensor, exposure, stream(*key, "frame"))
+            patch = replace(
+                self, imaging=imaging, physics=centred, exposure=exposure, signal_e_per_s=signal, screen=whole, collection=None
+            )
+            planes = developed_planes(patch.developing(frame, matrix=None))
+            at_phases = []
+            for at in product(PHASES_PX, repeat=2):  # in the mean over where the dots lie on the pixels
+                places = edges_um + at[0] * pitch_um, edges_um + at[1] * pitch_um
+                on_screen = whole.size_um, display, places, frame.registration
+                dots = np.stack([displays.on_dots(plane, pitch_um, *on_screen).ravel() for plane in planes])
+                away = dots - dots.mean(axis=1, keepdims=True)
+                at_phases.append((away[:, None] * away).mean(axis=2))
+            covariances.append(np.mean(at_phases, axis=0))
+        return np.array(covariances)
+
+    def colour_facts(self, integration_s: float) -> dict[str, Any]:
+        """Return what score.json has of a colour sensor: its channels, matrix and noise in an exposure."""
+        layout = self.physics.layout
+        assert self.rendition is not None
+        assert layout is not None
+        errors = self.rendition.errors(self.matrix)
+        dot_um, pitch_um = self.screen.dot_um, self.physics.read_pitch_um
+        whites_e = (np.array(self.whites_e_per_s) * integration_s).tolist()
+        return {
+            "layout": str(layout),
+            "white_spectrum": self.rendition.lamp,
+            "white_e": dict(zip(layout.channels, whites_e, strict=True)),
+            "matrix_to_display": self.matrix.tolist(),
+            "noise_gains": np.sqrt((self.matrix**2).sum(axis=1)).tolist(),
+            "patches_mean_delta_e": float(errors.mean()),
+            "sensitivity_metamerism_index": metamerism_index(errors),
+            "ideal_is_coloured": is_coloured(self.screen.ideal),
+            "dots_per_pixel": 1.0 if dot_um is None else pitch_um / dot_um,
+        }
+
+    @property
+    def sharpen_px(self) -> float:
+        """Standard deviation, in pixels, of the blur of sharpening. Raises PixsimError for one that is too wide."""
+        develop, pitch_um = self.imaging.develop, self.physics.read_pitch_um
+        if develop.sharpen_radius_cy_per_deg is None:
+            return develop.sharpen_radius_px or 1.0
+        dots = self.screen.display.samples_per_deg / (2 * math.pi * develop.sharpen_radius_cy_per_deg)
+        pixels = dots * (self.screen.dot_um or pitch_um) / pitch_um
+        if not pixels <= MAX_RADIUS_PX:
+            got = f"{develop.sharpen_radius_cy_per_deg:g}, a blur of {pixels:.3g} pixels of {pitch_um:g} µm"
+            raise invalid("develop.sharpen_radius_cy_per_deg", got, f"up to {MAX_RADIUS_PX:g} pixels", "Raise it.")
+        return max(pixels, MIN_RADIUS_PX)
+
+    @property
+    def sharpening_noise_gain(self) -> float:
+        """By how much sharpening amplifies the standard deviation of noise that is independent from pixel to pixel."""
+        return noise_gain(self.imaging.develop.sharpen_amount, self.sharpen_px)
+
+    def developing(self, frame: Frame, matrix: Array | None) -> Developing:
+        """Return a frame with all that the steps of its development know.
+
+        matrix : from the channels to the display's primaries; None leaves it out
+        """
+        develop, time_s = self.imaging.develop, frame.integration_s
+        return Developing(
+            frame,
+            self.imaging,
+            self.physics,
+            np.array(self.whites_e_per_s) * time_s,
+            self.shading,
+            self.screen.single,
+            self.signal_e_per_s * time_s if develop.denoise == "wiener_bound" else None,
+            self.sharpen_px if develop.sharpens else 1.0,
+            matrix,
+        )
+
+    def light(self, frame: Frame, window: Callable[[Array], Array] | None = None) -> Array:
+        """Return what a frame asks of the display's dots: luminance (H, W), or light of the primaries (3, H, W), 1 for white.
+
+        window : selects a part of the dots; None takes all
+        """
+        return self.toned(self.light_before_tone(frame, window))
+
+    def toned(self, light: Array) -> Array:
+        """Return light behind the tone curve."""
+        return toned(light, self.imaging.develop, self.screen.display)
+
+    def light_before_tone(self, frame: Frame, window: Callable[[Array], Array] | None = None) -> Array:
+        """Return `light` without the tone curve."""
+        developing = self.developing(frame, None if self.rendition is None else self.matrix)
+        return self.mixed_on_dots(developed_planes(developing), developing, window)
+
+    def mixed_on_dots(
+        self, planes: Sequence[Array], developing: Developing, window: Callable[[Array], Array] | None = None
+    ) -> Array:
+        """Return the light of developed planes on the dots, before the tone curve.
+
+        developing : their frame, with the matrix
+        """
+        screen, frame = self.screen, developing.frame
+        on_screen = screen.size_um, screen.display, screen.dot_edges_um, frame.registration
+        dots = [displays.on_dots(plane, frame.pitch_um, *on_screen) for plane in planes]
+        light = light_of_dots(dots, developing)
+        if window is None:
+            return light
+        return window(light) if light.ndim == 2 else np.stack([window(plane) for plane in light])
+
+    def score(self, frame: Frame) -> FrameScore:
+        """Return the score of a frame as shown on the screen, with ΔE alone."""
+        screen = self.screen
+        light, gamut = self.light_before_tone(frame), None
+        if light.ndim == 3:
+            gamut = screen.ideal_out_of_gamut, displays.out_of_gamut_share(np.moveaxis(light, 0, -1))
+        image = display_image(self.toned(light), screen.display, in_place=True)
+
+        # Pixels that fill the picture exactly may begin at -1e-18 µm.
+        border_um = max(0.0, float(screen.dot_edges_um[0][0])), max(0.0, float(screen.dot_edges_um[1][0]))
+        return made(
+            FrameScore,
+            screen.delta_e_of(image),
+            screen.ideal,
+            image,
+            screen.display,
+            frame=frame,
+            physics=self.physics,
+            border_um=border_um,
+            out_of_gamut=gamut,
+        )

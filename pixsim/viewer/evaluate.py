@@ -1,0 +1,203 @@
+"""From settings and light to a score: `evaluate`, and the steps of it that commands take by themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TypeVar
+
+from pixsim.base.arguments import Whole, checks_arguments
+from pixsim.base.notes import warn
+from pixsim.base.records import content_hash
+from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
+from pixsim.sensor.correction_options import NO_CORRECTION, Correction
+from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.integration import electrons_per_joule
+from pixsim.sensor.motion_options import STILL, Motion
+from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.technology import load_technology
+from pixsim.viewer.causes import causes_of, lightness_range
+from pixsim.viewer.chain import ImagingChain, make_chain
+from pixsim.viewer.develop_options import DEVELOP, Develop, check_develop
+from pixsim.viewer.display_options import Display
+from pixsim.viewer.frame_under_test import FrameUnderTest, numbers_of
+from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.light_error import LightError
+from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
+from pixsim.viewer.metric_registry import metrics_named
+from pixsim.viewer.metrics import Metric, MetricContext, MetricRequest, NoNumberError, columns_with_numbers
+from pixsim.viewer.review import review
+from pixsim.viewer.scene_light import PreparedScene, SceneLight, prepare_scene
+from pixsim.viewer.score import FrameScore, Score
+from pixsim.viewer.screen import warn_of_clipping, white_header, with_white
+from pixsim.viewer.unused import Configuration, warn_of_unused_settings
+
+S = TypeVar("S", bound=Score)
+MAX_CHAINS, MAX_CHAIN_BYTES = 8, 1 << 27  # that stay in memory
+MAX_DIGESTED_BYTES = 1 << 27  # of light; a tenth of a second
+_recent_chains: dict[str, tuple[ImagingChain, float]] = {}  # the last one last; with `PreparedScene.beyond_white`
+
+
+def reviewed_chain(
+    imaging: Imaging,
+    light: SceneLight,
+    *,
+    prepare: Callable[[Imaging, SceneLight], PreparedScene] = prepare_scene,
+    is_recent: bool = False,
+) -> ImagingChain:
+    """Return the imaging chain of settings that were not checked yet, with a warning for each note of their review.
+
+    prepare : as `prepare_scene`, which may know what that did before
+    is_recent : whether the chain stays in memory, with the last few others, for the same light and settings
+
+    Warns, too, if the scene's white is estimated (`white_header`), and if the display clips the scene.
+    """
+    irradiance = light.irradiance
+    check_develop(imaging.develop, imaging.pixel)
+    for note in review(imaging, light):
+        warn(note)
+    imaging = imaging.changed(display=with_white(imaging.display, white_header([(imaging, irradiance)])))
+    imaging.metrics.check(MetricContext(imaging.physics.layout is not None, light.background is not None))
+
+    key = _key_of_chain(imaging, irradiance) if is_recent and not imaging.metrics.needs_light else None
+    if key is not None and key in _recent_chains:
+        chain, beyond_white = _recent_chains.pop(key)
+        if chain.imaging.metrics != imaging.metrics:  # which decide nothing of the chain
+            chain = replace(chain, imaging=imaging)
+    else:
+        scene = prepare(imaging, light)
+        chain, beyond_white = make_chain(imaging, scene), scene.beyond_white
+        if key is not None:
+            chain = replace(chain, scene=None)
+    if key is not None:
+        _add_recent(key, chain, beyond_white)
+    warn_of_clipping(beyond_white, irradiance.header, imaging.display)
+    return chain
+
+
+def _key_of_chain(imaging: Imaging, irradiance: SpectralImage) -> str | None:
+    """Return a key for all that a chain depends on; None for light that takes long to read, and angles that a file has."""
+    samples = irradiance.data if irradiance.factors is None else irradiance.factors[1]
+    if samples.nbytes > MAX_DIGESTED_BYTES or imaging.camera.chief_ray_angle is not None:
+        return None
+    physics = imaging.physics
+    responses = [electrons_per_joule(channel, irradiance).tolist() for channel in physics.channels]
+    charge = physics.charge.content_hash if physics.charge else ""
+    names = "camera", "exposure", "display", "correction", "develop", "motion"
+    records = [getattr(imaging, name).model_dump(mode="json") for name in names]
+    pixel = [imaging.pixel.model_dump(mode="json"), imaging.technology.content, repr(physics), responses, charge]
+    return content_hash([irradiance.digest(), records, *pixel, imaging.border_um, imaging.single, imaging.full])
+
+
+def _add_recent(key: str, chain: ImagingChain, beyond_white: float) -> None:
+    """Add a chain as the last one, and drop the first ones if they are too many or too large."""
+    _recent_chains[key] = chain, beyond_white
+    sizes = [other.signal_e_per_s.nbytes + 3 * other.screen.ideal.nbytes for other, _ in _recent_chains.values()]
+    while len(sizes) > MAX_CHAINS or sum(sizes) > MAX_CHAIN_BYTES:
+        _recent_chains.pop(next(iter(_recent_chains)), None)
+        sizes.pop(0)
+
+
+def evaluate_frame(chain: ImagingChain, key: tuple[object, ...], missing: dict[str, str] | None = None) -> FrameScore:
+    """Return the score of a new sensor and a new frame for a key, with the numbers of the metrics.
+
+    missing : gets the reason, by the metric's name, why one has no number, which is NaN then; None raises a NoNumberError
+
+    Raises NoNumberError if no metric has a number.
+    """
+    judged, metrics = FrameUnderTest.of(chain, chain.capture(*key), stream=key), chain.imaging.metrics.chosen
+    score = with_numbers(judged.score, metrics, judged, missing)
+    if missing and len(missing) == len(metrics):
+        raise NoNumberError(next(iter(missing.values())))
+    return score
+
+
+def with_numbers(score: S, metrics: Sequence[Metric], judged: FrameUnderTest | Score, missing: dict[str, str] | None = None) -> S:
+    """Return a score with the numbers of metrics.
+
+    judged : the frame of the score, or the score alone for metrics that need no frame
+    missing : as for `evaluate_frame`
+    """
+    others = [metric for metric in metrics if not metric.is_delta_e]  # a score has ΔE
+    numbers = numbers_of(others, judged, missing)
+    numbers = {name: numbers[name] for name in columns_with_numbers(others, numbers)}
+    first = {metric.name: numbers.get(metric.columns[0], score.mean_delta_e) for metric in metrics}
+    return replace(score, metrics=first, further=numbers)
+
+
+@checks_arguments
+def evaluate(
+    irradiance: SpectralImage,
+    camera: Camera,
+    pixel: Pixel,
+    exposure: Exposure | None = None,
+    display: Display | None = None,
+    *,
+    correction: Correction | None = None,
+    develop: Develop | None = None,
+    motion: Motion | None = None,
+    seed: Whole = 0,
+    full: bool = False,
+    metrics: Sequence[str | Callable[[Score], float]] = ("delta_e",),
+    metric: MetricOptions | None = None,
+    without: SpectralImage | None = None,
+) -> FrameScore:
+    """Simulate one frame of one sensor, show it on a display, and compare it with the ideal image by S-CIELAB.
+
+    camera : the one that the irradiance was rendered with
+    exposure, display : None means the defaults
+    correction : of the frame by the camera; None means none
+    develop : of a frame into a picture; None means the default
+    motion : of the scene; None means that it stands still
+    seed : of the sensor's fixed pattern and its temporal noise
+    full : use no shortcut for grey images (the result differs by rounding only)
+    metrics : names of metrics, or functions of a Score, each a number in its own unit; they are the score's `metrics`. One that has
+        no number for this frame, as NIIRS for one that is overexposed, is NaN, with a warning that says why
+    metric : settings of the metrics; None means the defaults
+    without : irradiance of the scene without its target, for the metric detectability
+
+    Where neither the display nor the scene states its white, it is estimated, with a warning, as in `pixsim run`. What the frames
+    of one sensor and one light share stays in memory for the next calls.
+
+    Raises PixsimError if the pitch is too small or larger than the die, if white has no luminance, or the sensor no response to it.
+
+    >>> light = SpectralImage([550.0], 10.0, 84.8, data=np.full((32, 32, 1), 1e-3), header={"diffraction": False})
+    >>> pixel, display = Pixel(pitch_um=84.8, prnu=0), Display(white_cd_per_m2=1000, dots=32)
+    >>> score = evaluate(light, Camera(), pixel, display=display)
+    >>> score.delta_e.shape, round(float(score.image.mean() / score.ideal.mean()), 2)
+    ((28, 28), 1.0)
+    """
+    imaging = Imaging(
+        camera,
+        pixel,
+        load_technology(pixel.technology),
+        exposure or Exposure(),
+        display or Display(),
+        correction=correction or NO_CORRECTION,
+        develop=develop or DEVELOP,
+        motion=motion or STILL,
+        metrics=MetricRequest(metrics_named(metrics), metric or METRIC_OPTIONS),
+        full=full,
+    )
+    warn_of_unused_settings({"": [Configuration.of_imaging(imaging, irradiance)]})
+    chain = reviewed_chain(imaging, SceneLight(irradiance, without), is_recent=True)
+    missing: dict[str, str] = {}
+    score = evaluate_frame(chain, ("evaluate", seed), missing)
+    for reason in missing.values():
+        warn(reason)
+
+    frame = score.frame
+    causes = causes_of(
+        chain.imaging,
+        irradiance.header,
+        white_e=chain.white_e_per_s * frame.integration_s,
+        integration_s=frame.integration_s,
+        lightness=lightness_range(score.ideal),
+        saturated_fraction=frame.saturated_fraction,
+    )
+    for cause in causes:
+        if cause.leaves_nothing:
+            warn(str(cause))
+    # The ideal picture is that of the chain, which stays.
+    return replace(score, ideal=score.ideal.copy(), light=LightError.of(irradiance.header, causes=causes), _scored=None)
