@@ -120,6 +120,18 @@ def package_arrows(*, settings: bool) -> set[tuple[str, str]]:
     return {(one, other) for one, other in pairs if one != other}
 
 
+def test_technologies_are_loaded_before_pixels_are_derived() -> None:
+    """`derive(pixel)` reads the technology's file, for calls from outside; extreme cases are such calls."""
+    outside = {module for module in MODULES if module.startswith("verification.stability")}
+    calls = (
+        (module, node)
+        for module in sorted(set(MODULES) - outside)
+        for node in ast.walk(tree(module))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "derive"
+    )
+    assert [f"{module}:{node.lineno}" for module, node in calls if len(node.args) < 2] == []
+
+
 def test_architecture_names_each_file_of_studies() -> None:
     page = Path(__file__).parents[1] / "docs/architecture.md"
     if not page.is_file():

@@ -41,7 +41,7 @@ from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.noise import constant_e, signal_at_snr_e, variance_e2
 from pixsim.sensor.photodiode import stored_signal_e
-from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY, Pixel
 from pixsim.sensor.readout import frame_variance_dn2
 from pixsim.sensor.saturation import level_moments, peak_e
@@ -404,7 +404,7 @@ def datasheet_settings(
         pixel = fields | {"technology": name}
     options = {"pixel": pixel or None, "exposure": exposure, "seed": seed}
     settings = run_settings(files, {name: value for name, value in options.items() if value is not None})
-    warn_of_unused_settings({"": [replace(Configuration.of(settings, derive(settings.pixel)), own_rules=(NOT_OF_SHEETS,))]})
+    warn_of_unused_settings({"": [replace(Configuration.of(settings), own_rules=(NOT_OF_SHEETS,))]})
     return settings
 
 

@@ -24,6 +24,7 @@ from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import MAX_BLACK, Sensor, dark_spread_e, least_black_level_dn, read_out, sample_sensor
+from pixsim.sensor.technology import load_technology
 from pixsim.sensor.unit_slips import unit_slips
 
 SHAPE = 200, 200  # pixels: standard errors of 0.7 % for a variance and 0.2 % for a fitted slope
@@ -115,7 +116,7 @@ class Experiment:
         """The same device at another temperature: only its dark current changes, not its maps."""
         pixel = Pixel.model_validate(self.physics.pixel.model_dump() | {"temperature_k": temperature_k})
         own = self.physics
-        warm = replace(derive(pixel).as_read, full_well_e=own.full_well_e, gain_db=own.gain_db, channel=own.channel)
+        warm = replace(derive(pixel, own.technology).as_read, full_well_e=own.full_well_e, gain_db=own.gain_db, channel=own.channel)
         return replace(self.sensor, physics=warm)
 
 
@@ -240,7 +241,7 @@ def make_experiment(
     for note in unit_slips(pixel):
         warn(note)
     exposure = exposure or Exposure()
-    raw = most_frequent_channel(derive(pixel).at_gain(exposure.gain_db).as_read)
+    raw = most_frequent_channel(derive(pixel, load_technology(pixel.technology)).at_gain(exposure.gain_db).as_read)
     time_s = usual_integration_s(raw, exposure)
     physics = with_black_level(raw, time_s)
     nm = peak_wavelength_nm(physics) if wavelength_nm is None else wavelength_nm

@@ -28,6 +28,7 @@ from pixsim.sensor.integration import Columns, ideal_rate, integrate_pixels
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import frame_variance_dn2, integration_time_s
+from pixsim.sensor.technology import load_technology
 from pixsim.viewer.setting import Effort
 
 RENDER_NOISE = 0.2  # of the sensor noise, whose standard deviation grows by 2 %
@@ -111,7 +112,7 @@ def render_until(
     halves: list[list[Array]] = [[], []]
     runs, level, at_level, weight, samples = 0, 0 if max_seconds is None else FIRST_LEVEL, 0, 0.0, 0
     noise = RenderNoise(math.inf, math.inf, render_noise, 0, "target")
-    derived = [derive(pixel) if isinstance(pixel, Pixel) else pixel for pixel in pixels]
+    derived = [derive(pixel, load_technology(pixel.technology)) if isinstance(pixel, Pixel) else pixel for pixel in pixels]
     sensed = [[physics.pixel.model_dump(), physics.technology.content] for physics in derived]
     limits = content_hash([sensed, exposure.model_dump(), render_noise, max_seconds, tolerance_delta_e])
     in_time = job.cache.runs_in_time(limits) if job.cache and max_seconds is not None else None

@@ -75,6 +75,7 @@ from pixsim.sensor.photodiode import LINEAR_WITHIN, linear_limit_e
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.quantities import Pitch
+from pixsim.sensor.technology import load_technology
 from pixsim.viewer.display_options import Display, Luminance
 
 STACK, FILM = "pixel stack", "oversampling"  # subjects of decisions
@@ -324,7 +325,7 @@ def make_render_plan(
     bodies = find_bodies(state, sensor)
     every_lamp = find_lamps(state, scene.choice.reading)
     emitted = [lamp.spectrum for lamp in every_lamp if lamp.spectrum is not None]
-    seeing = [derive(one) for one in pixels or _packaged_pixels()]
+    seeing = [derive(one, load_technology(one.technology)) for one in pixels or _packaged_pixels()]
     span = span_of(emitted, seeing)
     lamps = checked_lamps(every_lamp, span)
     white = white_of(state, every_lamp if scene.white_lamps else lamps, scene.white_lamps)
@@ -371,7 +372,7 @@ def make_render_plan(
     outside = outside_header(emitted, span)
     warnings += warnings_of_skies(state, scene.choice.reading)
     warnings += _light_that_ends(state, every_lamp, span, seeing)
-    left_out = max((outside_share(outside, derive(one)) for one in pixels), default=0.0)
+    left_out = max((outside_share(outside, physics) for physics in seeing), default=0.0) if pixels else 0.0
     if left_out > SHOWN_SHARE:
         warnings.append(f"{outside_words(left_out, span)}: {outside_hint()}")
     if bound_e > tolerance_e:
@@ -411,7 +412,7 @@ def make_render_plan(
         outside=outside,
         plate=plate,
         of_chart=of_chart,
-        in_focus_m=depth_of_field_m(whole, derive(pixels[0]).as_read.read_pitch_um) if pixels else None,
+        in_focus_m=depth_of_field_m(whole, seeing[0].as_read.read_pitch_um) if pixels else None,
         held=tuple((index, name, table) for (index, name), table in surfaces.held.items()),
     )
     return _without_samples(plan) if exact and not full else plan
@@ -644,7 +645,7 @@ def make_plan(
     """
     camera, pixel = camera or scene.camera(), pixel or Pixel()
     exposure = exposure or Exposure()
-    physics = derive(pixel).at_exposure(exposure)
+    physics = derive(pixel, load_technology(pixel.technology)).at_exposure(exposure)
     options: dict[str, Any] = {"tolerance_e": tolerance_e, "full": full, "exact": display is not None}
     plan = make_render_plan(scene, rendered_camera(camera), pixel, **options)  # the film does not depend on a real lens's blur
     resolution, sampling = decide_oversampling(scene, plan, camera, physics, display, full)

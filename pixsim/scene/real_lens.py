@@ -18,6 +18,7 @@ from pixsim.scene.scene import Scene
 from pixsim.scene.tree import Tree, nodes_of
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.technology import load_technology
 
 SEEN_NM = np.arange(400.0, 701.0, 10.0)  # light for which tiles are chosen: even in energy, as the sensor sees it
 THIN_LENS_SHARE = 0.5  # of the tolerance, for a thin lens in place of the real one
@@ -40,7 +41,7 @@ def decide_real_lens(
     """
     if camera.lens is None or camera.chief_ray_angle is None:
         return None, []
-    physics = derive(pixel) if pixel else None
+    physics = derive(pixel, load_technology(pixel.technology)) if pixel else None
     weight = photons_per_joule(SEEN_NM) * (physics.quantum_efficiency(SEEN_NM) if physics else 1.0)
     film_um = 1e3 * camera.die_mm / scene.film_shape(camera, scene.parse())[1]
     aperture_um = aperture_um or (physics.aperture_side_um if physics else SAMPLES_PER_DETAIL * film_um)
@@ -78,7 +79,7 @@ def decide_defocus(
 
     camera, seen : with the real lens, and the thin lens through which the scene is rendered
     """
-    physics = derive(pixel) if pixel else None
+    physics = derive(pixel, load_technology(pixel.technology)) if pixel else None
     weight = photons_per_joule(SEEN_NM) * (physics.quantum_efficiency(SEEN_NM) if physics else 1.0)
     least_um = smallest_disc_um(camera, float((weight * SEEN_NM).sum() / weight.sum()))
     ranges, unknown = depth_ranges_m([body for body in bodies if body.in_view(seen, aspect)], camera, state)

@@ -36,6 +36,7 @@ from pixsim.scene.contents import (
 from pixsim.scene.tree import Node, Tree, children, nodes_of
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.technology import load_technology
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -364,7 +365,7 @@ def decide_lens(
     """Replace the lens by a pinhole if everything in view is in focus and looks the same from every point of the lens."""
     visible = [body for body in bodies if body.in_view(camera, aspect)]
     blur = max((greatest_blur_um(camera, body) for body in visible), default=0.0)
-    side_um = derive(pixel).aperture_side_um if pixel else 1.0
+    side_um = derive(pixel, load_technology(pixel.technology)).aperture_side_um if pixel else 1.0
     blur_text = f"blur up to {blur:.3g} µm" if math.isfinite(blur) else "shapes of unknown size or at the lens"
     if full:
         return "thinlens", Decision("lens samples", True, f"nothing left out ({blur_text})")

@@ -36,6 +36,7 @@ from pixsim.base.errors import invalid
 from pixsim.sensor.mismatch import E_PER_FC
 from pixsim.sensor.pixel import Diode, PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.technology import load_technology
 
 # The public names; everything else is internal.
 __all__ = ["charge_from_total_e", "collected_charge_e", "default_diode", "diode_of"]
@@ -53,7 +54,7 @@ def diode_of(pixel: Pixel | PixelPhysics) -> Diode:
 
     Raises PixsimError for a pinned photodiode, which transfers its charge, and as `derive` does.
     """
-    physics = derive(pixel) if isinstance(pixel, Pixel) else pixel
+    physics = derive(pixel, load_technology(pixel.technology)) if isinstance(pixel, Pixel) else pixel
     if physics.diode is None:
         raise invalid("photodiode", f"the pinned one of {physics.technology.name}", "the photodiode of a 3T pixel")
     return physics.diode

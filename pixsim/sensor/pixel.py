@@ -1043,7 +1043,9 @@ def check_colour(pixel: Pixel, technology: Technology) -> None:
 def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
     """Return the physical properties of a pixel; what its parameters do not set comes from the technology.
 
-    technology : None loads the one that the pixel names
+    With a technology it reads no file of the user's, and warns of nothing (`pixsim.viewer.review` does).
+
+    technology : None loads the one that the pixel names, for calls from outside
 
     Raises PixsimError for an unknown technology, for a pitch at or below the smallest one, which the message states, and as
     `absorbed_efficiency`.

@@ -35,6 +35,7 @@ from pixsim.sensor.pixel import CENTRED, PixelPhysics, Registration, derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.quantities import MAX_CODE_BITS, Aspect, FrameBits, GainDb, Pitch, SaturatedFraction
 from pixsim.sensor.stages import gains_of_rows, moving_in
+from pixsim.sensor.technology import load_technology
 from pixsim.sensor.unit_slips import unit_slips
 
 # Far above this mean the variance of NumPy's Poisson is wrong (+3.5 % at 1e15); a rounded normal lacks only the skewness
@@ -166,7 +167,7 @@ def make_sensor(pixel: Pixel, camera: Camera, seed: Whole = 0, *, aspect: Aspect
     for note in unit_slips(pixel):
         warn(note)
     aspect = camera.die_mm / camera.height_mm if aspect is None else aspect
-    physics, width_um = derive(pixel).as_read, camera.die_um[1]
+    physics, width_um = derive(pixel, load_technology(pixel.technology)).as_read, camera.die_um[1]
     shape = pixels_on((width_um / aspect, width_um), physics.read_pitch_um, physics.registration)
     check_pixel_count(shape, pixel.pitch_um)
     return sample_sensor(physics, (shape[0] * physics.planes, shape[1]), np.random.default_rng(seed))

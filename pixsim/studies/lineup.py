@@ -29,7 +29,7 @@ from pixsim.sensor.motion import border_with_room_um
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import BORDER_PIXELS, NO_TECHNOLOGY
 from pixsim.sensor.spread import sheet_uncertainty
-from pixsim.sensor.technology import check_name
+from pixsim.sensor.technology import check_name, load_technology
 from pixsim.studies.cases import Case, Job, named
 from pixsim.studies.condition import Condition
 from pixsim.studies.displays import other_displays
@@ -392,7 +392,7 @@ def warn_of_unused(conditions: Sequence[Sequence[Case[Run]]], match: Match) -> N
             lens_of = sensors[0].name if match != "own" and sensor is not sensors[0] else ""
             if lens_of:  # what is the first one's too is used
                 shared |= {table: differing(getattr(run, table), getattr(first, table)) for table in ("camera", "lens")}
-            given = Configuration.of(run.model_copy(update=shared), derive(run.pixel))
+            given = Configuration.of(run.model_copy(update=shared))
             found.setdefault(sensor.name, []).append(replace(given, lens_of=lens_of, is_compared=True))
     warn_of_unused_settings(found)
 
@@ -425,7 +425,7 @@ def lineup_of(stated: Stated, common: Lineup | None, match: Match, sensor: str |
     found = [replace(each, found=(loaded, camera)) for each, camera in zip(stated.sensors, cameras, strict=True)]
     for each in found:
         with named(each.name):
-            derive(each.settings.pixel)
+            derive(each.settings.pixel, load_technology(each.settings.pixel.technology))
             check_pixel_count(pixels_of(each), each.settings.pixel.pitch_um)
     finest = max(found, key=lambda each: math.prod(pixels_of(each)))
     view: dict[str, Any] = {}

@@ -26,7 +26,6 @@ from pixsim.scene.packaged import packaged_scenes
 from pixsim.scene.plan import Plan
 from pixsim.scene.scene import Scene
 from pixsim.sensor.integration import check_pixel_count, collecting_area_um2, pixels_on
-from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.sensor.readout import Frame
 from pixsim.sensor.technology import Technology, load_technology
@@ -135,7 +134,7 @@ def prepare(
 
     The arguments are fields of `RunJob`; light in memory has the name `LIGHT_FILE`. Raises PixsimError for invalid input.
     """
-    pitch_um, given = settings.pixel.pitch_um, Configuration.of(settings, derive(settings.pixel))
+    pitch_um, given = (settings.pixel.pitch_um, Configuration.of(settings))
     if not 1 <= frames <= MAX_FRAMES:
         hint = f"For more, call run with another {setting('seed')}: another sensor."
         raise invalid(setting("frames"), frames, f"1 to {MAX_FRAMES}", hint)

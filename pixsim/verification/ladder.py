@@ -17,7 +17,6 @@ from pixsim.base.progress import Progress, Stage, no_stage
 from pixsim.scene.film import fitting_width, largest_film
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.motion_options import STILL, Motion
-from pixsim.sensor.pixel import derive
 from pixsim.show.document import plain_text
 from pixsim.show.pages import Figures, plain, rows_csv
 from pixsim.show.render import notebook, write
@@ -212,7 +211,7 @@ def measure_accuracy(
 ) -> Accuracy:
     """Return the result of `accuracy`. Raises PixsimError if the scene cannot be rendered or captured."""
     start = time.perf_counter()
-    given = Configuration.of(settings, derive(settings.pixel))
+    given = Configuration.of(settings)
     warn_of_unused_settings({"": [replace(given, own_rules=(NOT_USED, *RULES))]})
     scene = loaded_scene(source, settings.scene, settings.resolution, settings.display, variant=variant, sensor=sensor)
     camera = scene.camera(settings.camera, settings.lens)

@@ -23,9 +23,10 @@ from pixsim.sensor.colour_options import binned_cell, efficiencies_of
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.motion_options import STILL, Motion
-from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import ABSOLUTE_ZERO_C, NO_TECHNOLOGY, SCALED_WITH_AREA, PixelOptions
 from pixsim.sensor.stack_options import StackOptions
+from pixsim.sensor.technology import load_technology
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
@@ -67,8 +68,9 @@ class Configuration:
     own_rules: tuple[Rule, ...] | None = None
 
     @classmethod
-    def of(cls, run: Run, physics: PixelPhysics) -> Configuration:
+    def of(cls, run: Run) -> Configuration:
         """Return that of a run."""
+        physics = derive(run.pixel, load_technology(run.pixel.technology))
         own = run.exposure, run.correction, run.develop, run.display, run.camera, run.lens
         return cls(physics, run.pixel, *own, run, motion=run.motion)
 
@@ -436,9 +438,8 @@ RULES = (
 def unused_settings(configuration: Configuration) -> dict[str, str]:
     """Return the settings that were changed and that nothing uses, by dotted name, and why.
 
-    >>> from pixsim.sensor.pixel import derive
     >>> run = Run(exposure=Exposure(integration_s=0.01, well_target=0.5))
-    >>> unused_settings(Configuration.of(run, derive(run.pixel)))
+    >>> unused_settings(Configuration.of(run))
     {'exposure.well_target': 'exposure.integration_s states the time'}
     """
     changed = configuration.changed

@@ -11,6 +11,7 @@ from scipy.constants import c as light_speed, e as electron, h as planck, k as b
 from scipy.integrate import quad
 
 from pixsim.base.errors import PixsimError
+from pixsim.base.toml import packaged
 from pixsim.light.spectral import d65, luminous_weight, photons_per_joule
 from pixsim.sensor import pixel as pixels
 from pixsim.sensor.exposure import Exposure
@@ -578,3 +579,13 @@ def test_saturation_capacity_of_a_soft_well_raises() -> None:
         Pixel(saturation_capacity_e=9000, well_limit="diode")
     with pytest.raises(ValueError, match="missing: full_well_e, read_noise_e"):
         Pixel(technology=None, dark_current_e_per_s=1, quantum_efficiency=0.5)
+
+
+def test_derive_with_a_technology_reads_no_file_of_it_and_warns_of_nothing(tmp_path, recwarn):
+    """The file is gone when the pixel is derived, whose PRNU looks like one in per cent."""
+    path = tmp_path / "mine.toml"
+    path.write_bytes(packaged("data/technologies")["4t-bsi"].read_bytes())
+    technology, pixel = load_technology(str(path)), Pixel(technology=str(path), pitch_um=2.0, prnu=0.2)
+    path.unlink()
+    assert derive(pixel, technology).full_well_e > 0
+    assert not recwarn.list

@@ -26,7 +26,6 @@ from pixsim.sensor.colour_options import ColourOptions
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.motion_options import Motion
-from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import NUMBERS, DarkCurrent, Pixel
 from pixsim.sensor.stack_options import StackOptions
 from pixsim.studies import lineup
@@ -285,7 +284,7 @@ def said(command: Run | Study, technology: str = "") -> set[str]:
         technology = technology or command.technologies[0]
         physics = physics_of(command, technology, float(study_pitches_um(command, technology).max()))
         return set(unused_settings(StudyConfiguration.of_technology(command, physics, technology)))
-    return set(unused_settings(Configuration.of(command, derive(command.pixel))))
+    return set(unused_settings(Configuration.of(command)))
 
 
 def study_of(**settings: Any) -> Study:
@@ -358,8 +357,8 @@ def test_packaged_studies_state_nothing_in_vain(name: str) -> None:
 
 def test_notes_name_the_sensors_unless_all_have_them() -> None:
     run, colour = Run(develop=Develop(matrix="least_squares")), Pixel(**SHEET, colour=ColourOptions(**COLOUR))
-    grey = Configuration.of(run, derive(run.pixel))
-    seen = Configuration.of(run.model_copy(update={"pixel": colour}), derive(colour))
+    grey = Configuration.of(run)
+    seen = Configuration.of(run.model_copy(update={"pixel": colour}))
     why = "develop.matrix is not used: the pixels have no colour filters (pixel.colour)"
     efficiency = "pixel.quantum_efficiency is not used: pixel.colour.quantum_efficiencies states what every channel sees"
     assert unused_notes({"a": [grey], "b": [grey]}) == [why]
