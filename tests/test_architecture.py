@@ -1,6 +1,7 @@
 """Structure of the package: allowed imports between packages, and public names."""
 
 import ast
+import re
 import tomllib
 from collections.abc import Iterator
 from functools import cache
@@ -130,6 +131,26 @@ def test_technologies_are_loaded_before_pixels_are_derived() -> None:
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "derive"
     )
     assert [f"{module}:{node.lineno}" for module, node in calls if len(node.args) < 2] == []
+
+
+PARTS_OF_IMAGING = {
+    "Camera": "camera", "CameraOptions": "camera", "Pixel": "pixel", "PixelOptions": "pixel", "PixelPhysics": "pixel",
+    "Technology": "pixel", "Exposure": "exposure", "Motion": "motion", "Correction": "correction", "Develop": "develop",
+    "Display": "display", "MetricOptions": "metrics", "MetricRequest": "metrics",
+}  # fmt: skip
+BUILD_IMAGING = {"viewer.evaluate.evaluate", "studies.many_sensors.sweep"}  # public: the records are their arguments
+
+
+def test_functions_between_light_and_score_take_imaging() -> None:
+    """Of viewer and studies none takes more than two of its parts one by one."""
+    many = {}
+    for module in (name for name in MODULES if name.startswith(("viewer.", "studies."))):
+        for node in ast.walk(tree(module)):
+            if isinstance(node, ast.FunctionDef):
+                arguments = (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)
+                words = {word for each in arguments if each.annotation for word in re.findall(r"\w+", ast.unparse(each.annotation))}
+                many[f"{module}.{node.name}"] = {part for word, part in PARTS_OF_IMAGING.items() if word in words}
+    assert {name for name, parts in many.items() if len(parts) > 2} == BUILD_IMAGING
 
 
 def test_architecture_names_each_file_of_studies() -> None:

@@ -268,7 +268,7 @@ def assert_possible(frame: Frame) -> None:
     assert frame.dn.dtype == np.int32
     assert 0 <= frame.dn.min() <= frame.dn.max() <= top
     assert 0 <= frame.mean_e.min() <= frame.mean_e.max() < math.inf
-    assert np.isfinite(frame.electrons).all()
+    assert np.isfinite(frame.estimate_e).all()
     assert 0 < frame.integration_s < math.inf
     assert 0 <= frame.saturated_fraction <= 1
 

@@ -199,6 +199,7 @@ class Frame:
     white_level_dn : highest code; None: all bits set
     saturated : (rows, columns) which pixels were full in any exposure: charge at the full well (a soft one: at 99 % of it), or the
         top code. `saturated_fraction` is its mean, but for a soft well. None: not known
+    dark_noise_e : standard deviation of all temporal noise without light and dark charge, of all exposures together
     """
 
     dn: NDArray[np.int32] = field(repr=False)
@@ -217,6 +218,7 @@ class Frame:
     exposures: Count = 1
     white_level_dn: float | None = None
     saturated: NDArray[np.bool_] | None = field(default=None, repr=False)
+    dark_noise_e: NotNegative = 0.0
 
     @property
     def pixels(self) -> tuple[int, int]:
@@ -224,7 +226,7 @@ class Frame:
         return self.dn.shape[0] // (1 if self.layout is None else self.layout.planes), self.dn.shape[1]
 
     @property
-    def electrons(self) -> Array:
+    def estimate_e(self) -> Array:
         """Estimated photo-electrons, (rows, columns): corrected as the camera does, or less black level and expected dark charge.
 
         The response is taken as linear. With `conversion = "junction"` the error is up to 1.8 % of the swing of a 0.35 µm
@@ -239,6 +241,22 @@ class Frame:
             part /= self.dn_per_e
             part -= self.mean_dark_e
         return electrons
+
+    @property
+    def electrons(self) -> Array:
+        """The estimate of photo-electrons, (rows, columns), `estimate_e`."""
+        return self.estimate_e
+
+    @property
+    def estimate_variance_e2(self) -> Array:
+        """Estimated variance of `estimate_e` over frames of the same sensor, (rows, columns).
+
+        It is that of the Poisson law at the estimate, if that is above 0, and at the mean dark charge, with reset, read and row
+        noise and rounding; valid where nothing clips. Frames of a correction add noise of their own, which is not in it.
+        """
+        variance_e2 = np.maximum(self.estimate_e, 0.0)
+        variance_e2 += self.mean_dark_e + self.dark_noise_e**2 + self.exposures / 12 / self.dn_per_e**2
+        return variance_e2
 
 
 @checks_arguments
@@ -573,6 +591,7 @@ def _frame(
         exposures=physics.exposures,
         white_level_dn=None if physics.exposures == 1 else float(physics.top_code_dn),
         saturated=saturated,
+        dark_noise_e=physics.noise_floor_e,
     )
 
 

@@ -677,7 +677,7 @@ def standard_noise_of(chain: ImagingChain, imaging: Imaging, number: int) -> Arr
     sensor_rng, correction_rng = stream(*key, "sensor"), stream(*key, "correction")
     frame = chain.capture_with(sensor_rng, sensor_rng, correction_rng)
     mean = noiseless_frame(chain, frame.integration_s)
-    return np.asarray((frame.electrons - mean.electrons) / _deviation_e(chain, frame.integration_s))
+    return np.asarray((frame.estimate_e - mean.estimate_e) / _deviation_e(chain, frame.integration_s))
 
 
 def _deviation_e(chain: ImagingChain, integration_s: float) -> Array:
@@ -699,5 +699,5 @@ def score_with(chain: ImagingChain, standard_noise: Array) -> FrameScore:
     """
     time_s = chain.integration_s
     mean = noiseless_frame(chain, time_s)
-    electrons = mean.electrons + standard_noise * _deviation_e(chain, time_s)
+    electrons = mean.estimate_e + standard_noise * _deviation_e(chain, time_s)
     return chain.development.score(replace(mean, corrected_e=electrons.astype(np.float32)))

@@ -35,6 +35,7 @@ from pixsim.sensor.readout import Frame, capture_from_rates, quantise, sample_se
 from pixsim.verification.case import ANSWERS, ExtremeCase, KnownAnswer
 from pixsim.viewer.display import average_axis, white_rate
 from pixsim.viewer.display_options import Display
+from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.scielab import Filters, delta_e_map, filtered_grey_lab, filtered_lab, xyz_to_lab
 
 Row = tuple[Any, ...]  # the fields of a KnownAnswer
@@ -176,7 +177,8 @@ def uniform_images(spectrum: Array) -> list[SpectralImage]:
 
 def is_refused(spectrum: Array, physics: PixelPhysics) -> bool:
     try:
-        white_rate(uniform_images(spectrum)[0], Camera(), physics, Display(white_cd_per_m2=1000.0))
+        imaging = Imaging(Camera(), physics.pixel, physics.technology, Exposure(), Display(white_cd_per_m2=1000.0))
+        white_rate(imaging, uniform_images(spectrum)[0])
     except PixsimError:
         return True
     return False

@@ -463,7 +463,7 @@ def developed_planes(c: Developing) -> list[Array]:
 
     Raises PixsimError if a filter's window does not fit into the frame, or what it needs is not installed.
     """
-    raw_e = c.frame.electrons
+    raw_e = c.frame.estimate_e
     if c.layout is not None:  # before noise reduction, which leaves less of a saturated pixel
         full = np.asarray(raw_e >= SATURATED * c.physics.saturation_e - c.frame.mean_dark_e)
         if c.frame.exposures > 1 and c.frame.saturated is not None:  # the sum hides that some of its exposures are full

@@ -409,7 +409,7 @@ def frame_luminance(
 
     Raises PixsimError if the edges do not increase, and as `relative_to_white` does.
     """
-    picture = relative_to_white(frame.electrons, frame, white_e, shading, single=single)
+    picture = relative_to_white(frame.estimate_e, frame, white_e, shading, single=single)
     return on_dots(picture, frame.pitch_um, size_um, display, edges_um, frame.registration)
 
 

@@ -248,7 +248,7 @@ class Corrected(Experiment):
         light = np.full(dn.shape, photons * self.efficiency / integration_s)
         frame = make_frame(dn, 0.0, light, p, Exposure(integration_s=integration_s, gain_db=p.gain_db))
         corrected = correct(frame, self.sensor, self.correction, stream("masters"))
-        return np.rint(corrected.electrons * p.dn_per_e + p.pixel.black_level_dn).astype(np.int32)
+        return np.rint(corrected.estimate_e * p.dn_per_e + p.pixel.black_level_dn).astype(np.int32)
 
 
 def test_package_measures_what_correction_leaves() -> None:

@@ -132,7 +132,7 @@ def test_dark_level_is_clipped_in_each_exposure() -> None:
     assert least_black_level_dn(physics.burst(COUNT), TIME_S) == least_black_level_dn(physics, TIME_S / COUNT)
     sensor = sample_sensor(physics, (400, 400), seeded(4))
     frame = capture_from_rates(np.zeros((400, 400)), sensor, Exposure(integration_s=TIME_S, frames=COUNT), seeded(5))
-    assert within(frame.electrons.mean(axis=1), burst["too_bright_e"])
+    assert within(frame.estimate_e.mean(axis=1), burst["too_bright_e"])
 
 
 def test_dark_frames_are_bursts_too() -> None:

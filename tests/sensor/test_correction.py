@@ -47,7 +47,7 @@ def picture(sensor: Sensor, signal_e: float, correction: Correction, key: object
 
 
 def residual(frame: Frame, signal_e: float) -> Array:
-    return frame.electrons - signal_e
+    return frame.estimate_e - signal_e
 
 
 CORRECTIONS: dict[str, dict[str, Any]] = {
@@ -121,7 +121,7 @@ def test_dark_frames_remove_a_clipped_dark_level() -> None:
     """
     physics = pixel(black_level_dn=0.0, dark_current_e_per_s=0.0, offset_fpn=0.01)
     sensor = sensor_of(physics)
-    plain = capture_from_rates(np.zeros(SHAPE), sensor, Exposure(integration_s=TIME_S), stream("p")).electrons.mean()
+    plain = capture_from_rates(np.zeros(SHAPE), sensor, Exposure(integration_s=TIME_S), stream("p")).estimate_e.mean()
     found = residual(picture(sensor, 0.0, Correction(dark_frames=4)), 0.0)
     assert plain > 40.0
     assert abs(found.mean()) < 4.5 * found.std() / np.sqrt(found.size)
@@ -133,7 +133,7 @@ def test_flat_frames_keep_the_mean_and_the_scene() -> None:
     sensor = sensor_of(physics)
     ramp = np.linspace(2000.0, 12000.0, SHAPE[1]) * np.ones((SHAPE[0], 1))
     frame = capture_from_rates(ramp / TIME_S, sensor, Exposure(integration_s=TIME_S), stream("ramp"))
-    found = correct(frame, sensor, Correction(dark_frames=16, flat_frames=16), stream("c")).electrons
+    found = correct(frame, sensor, Correction(dark_frames=16, flat_frames=16), stream("c")).estimate_e
     spread = np.sqrt(residual_variance_e2(12000.0, TIME_S, physics, Correction(dark_frames=16, flat_frames=16)).total)
     assert np.abs(found.mean(axis=0) - ramp[0]).max() < 5 * spread / np.sqrt(SHAPE[0]) + 2e-3 * 12000  # the mean of 50 000 gains
 
@@ -143,11 +143,11 @@ def test_correct_kinds_have_streams_of_their_own() -> None:
     physics, off = pixel(), {"dsnu": 0, "offset_fpn": 0, "read_noise_e": 0, "dark_current_e_per_s": 0, "column_fpn": 0}
     quiet = pixel(**off, black_level_dn=100)
     sensor = sensor_of(quiet, (20, 30))
-    one = picture(sensor, 5000.0, Correction(flat_frames=2)).electrons
-    other = picture(sensor, 5000.0, Correction(flat_frames=2, column_clamp=3)).electrons
+    one = picture(sensor, 5000.0, Correction(flat_frames=2)).estimate_e
+    other = picture(sensor, 5000.0, Correction(flat_frames=2, column_clamp=3)).estimate_e
     np.testing.assert_allclose(one, other, rtol=1e-6)
-    again = picture(sensor_of(physics), 100.0, Correction(dark_frames=2)).electrons
-    np.testing.assert_array_equal(again, picture(sensor_of(physics), 100.0, Correction(dark_frames=2)).electrons)
+    again = picture(sensor_of(physics), 100.0, Correction(dark_frames=2)).estimate_e
+    np.testing.assert_array_equal(again, picture(sensor_of(physics), 100.0, Correction(dark_frames=2)).estimate_e)
 
 
 # --- defects ----------------------------------------------------------------------------------------------------------

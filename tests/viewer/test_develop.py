@@ -443,7 +443,7 @@ def test_burst_that_is_saturated_in_part_is_neutral() -> None:
     assert frame.saturated is not None
     assert frame.layout is not None
     np.testing.assert_array_equal(frame.saturated, frame.layout.numbers(frame.dn.shape) == frame.layout.channels.index("G"))
-    assert frame.electrons.max() < 0.99 * chain.physics.saturation_e
+    assert frame.estimate_e.max() < 0.99 * chain.physics.saturation_e
     light = chain.development.light(frame)
     assert np.ptp(light, axis=0).max() < 1e-6 * light.max()
     # Red and blue are not full: the field keeps its luminance, within the shot noise of the brighter of two channels.

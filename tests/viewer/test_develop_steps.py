@@ -145,7 +145,7 @@ def test_denoised_frames_are_nearer_to_the_expected_light(colour: str, denoise: 
     errors = []
     for each in (chain, plain):
         c = each.development.developing(frame, None)
-        raw = STEPS["denoise"].apply(frame.electrons, c) if c.develop.denoises else frame.electrons
+        raw = STEPS["denoise"].apply(frame.estimate_e, c) if c.develop.denoises else frame.estimate_e
         errors.append(float(np.mean((raw - expected) ** 2)))
         assert raw.mean() == pytest.approx(expected.mean(), rel=3e-3)
     assert errors[0] < 0.8 * errors[1]
@@ -155,10 +155,10 @@ def test_no_filter_of_the_list_beats_the_bound_in_mean_square_error_of_even_nois
     """'wiener_bound' has the least error of linear filters: also of unsharp masks that blur, which are of its kind."""
     chain = chain_of({"denoise": "wiener_bound"})
     frame, expected = chain.capture("bound"), chain.signal_e_per_s * TIME_S
-    bound = STEPS["denoise"].apply(frame.electrons, chain.development.developing(frame, None))
+    bound = STEPS["denoise"].apply(frame.estimate_e, chain.development.developing(frame, None))
     least = float(np.mean((bound - expected) ** 2))
     for amount, sigma in ((0.9, 0.5), (0.9, 1.0), (0.5, 1.0), (0.7, 3.0)):
-        blurred = frame.electrons - amount * (unsharp_mask(frame.electrons, 1.0, sigma) - frame.electrons)
+        blurred = frame.estimate_e - amount * (unsharp_mask(frame.estimate_e, 1.0, sigma) - frame.estimate_e)
         assert least < float(np.mean((blurred - expected) ** 2))
 
 
@@ -182,7 +182,7 @@ def test_bound_leaves_the_error_that_it_states(colour: str, correction: dict[str
     expected, errors = chain.signal_e_per_s * TIME_S, []
     c = chain.development.developing(noiseless(chain), None)
     for number in range(16):
-        raw = STEPS["denoise"].apply(chain.capture("bound", number).electrons, replace(c))
+        raw = STEPS["denoise"].apply(chain.capture("bound", number).estimate_e, replace(c))
         errors.append(float(np.mean((raw - expected) ** 2)))
     variance, column_e2, row_e2 = noise_of_expected_e2(expected, chain.physics, TIME_S, chain.imaging.correction)
     stated = [
@@ -216,7 +216,7 @@ def test_noise_reduction_before_demosaicing_leaves_less_chroma_noise() -> None:
 def test_known_noise_is_that_of_dark_frames() -> None:
     """White temporal noise with dark charge, by differences of frames of one sensor, in electrons. 2 σ of 20 frames is 0.4 %."""
     chain = chain_of({}, picture=np.full((SIDE, SIDE), 1e-6), dark_current_e_per_s=3e4, dsnu_e=20.0)
-    dark = chain.capture("noise").electrons, *(frame.electrons for frame in chain.further_frames(21, "noise"))
+    dark = chain.capture("noise").estimate_e, *(frame.estimate_e for frame in chain.further_frames(21, "noise"))
     variance = float(np.var(np.diff(dark, axis=0), axis=(1, 2)).mean()) / 2
     known = white_noise_e2(chain.physics, TIME_S, chain.imaging.correction) + chain.physics.dark_current_e_per_s * TIME_S
     assert variance == pytest.approx(known, rel=0.01)
@@ -383,7 +383,7 @@ def test_covariance_behind_the_bound_is_that_of_frames(colour: str, develop: dic
     expected = noise_covariance(chain.development.developing(still, None), levels, None)[0]
     found = np.zeros_like(expected)
     for number in range(60):
-        noise = even.capture("through", number).electrons - even.signal_e_per_s * TIME_S
+        noise = even.capture("through", number).estimate_e - even.signal_e_per_s * TIME_S
         planes = np.stack(developed_planes(replace(chain.development.developing(replace(still, corrected_e=noise), None))))
         found += np.einsum("cyx,dyx->cd", planes, planes) / planes[0].size / 60
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
