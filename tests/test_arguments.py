@@ -21,6 +21,7 @@ from typing import Any, TypeVar, Union
 
 import numpy as np
 import pytest
+from helpers.chains import imaging
 from helpers.public_names import PUBLIC
 from pydantic import BaseModel
 from typing_extensions import TypeAliasType
@@ -104,6 +105,7 @@ GOOD: dict[str, Any] = {
     "message": "x", "path": "a.exr", "name": "0.35um", "wavelength_nm": NM, "band_width_nm": 10.0,
     "pitch_um": 100.0, "data": np.ones((2, 2, 3)), "irradiance": LIGHT, "image": LIGHT, "camera": CAMERA, "pixel": PIXEL,
     "exposure": EXPOSURE, "display": DISPLAY, "sensor": SENSOR, "rng": np.random.default_rng(0), "physics": PHYSICS,
+    "imaging": imaging(CAMERA, PIXEL, EXPOSURE, DISPLAY),
     "technology": TECHNOLOGY, "frame": FRAME, "kind": "flat", "texels": np.ones((2, 2), np.float32), "scene": scene,
     "reference_xyz": XYZ, "test_xyz": XYZ, "white_xyz": [95.0, 100.0, 108.0], "samples_per_deg": 23.0, "xyz": XYZ,
     "reference_lab": XYZ, "lab_reference": XYZ, "lab_test": XYZ, "luminance": PLANE, "picture": PLANE, "weight": np.ones(3),

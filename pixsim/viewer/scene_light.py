@@ -56,7 +56,7 @@ def check_background(background: SpectralImage, irradiance: SpectralImage) -> No
     background.validate()
     got, wanted = ([*image.shape[:2], image.pitch_um] for image in (background, irradiance))
     if got[:2] != wanted[:2] or not math.isclose(got[2], wanted[2], rel_tol=ROUNDING):
-        samples, allowed = ("{} × {} samples of {:g} µm".format(*each) for each in (got, wanted))
+        samples, allowed = ("{} × {} samples of {:g} µm".format(*sides) for sides in (got, wanted))
         raise invalid("without", samples, f"the samples of the light with the target, {allowed}")
 
 
@@ -201,7 +201,8 @@ def prepare_scene(
     if lights is None:
         lights = lights_of(irradiance, camera, physics)
     if imaging.full:  # nothing of the pixels' stack is left out
-        lights = tuple(replace(each, illumination=replace(each.illumination, spare_e=0.0)) for each in lights)
+        whole = [replace(channel.illumination, spare_e=0.0) for channel in lights]
+        lights = tuple(replace(channel, illumination=part) for channel, part in zip(lights, whole, strict=True))
     whites = tuple(displays.white_rate(imaging, irradiance, channel) for channel in physics.channels)
     metering = without_outliers(irradiance)
     needs_facts = imaging.metrics.needs_light
