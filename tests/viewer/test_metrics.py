@@ -501,6 +501,17 @@ def test_pixels_that_clip_have_no_information() -> None:
     assert half == pytest.approx(whole / 2, rel=1e-9)
 
 
+def test_visual_noise_of_a_burst_is_that_of_its_patch_and_not_of_what_moves() -> None:
+    """A uniform patch looks the same wherever the scene moves: the noise of a burst in motion is that of one that stands still."""
+    exposure, found = pixsim.Exposure(integration_s=0.02, frames=3), []
+    for um_per_s in (0.0, 400.0):
+        settings = {"metrics": MetricRequest(metrics_named(["visual_noise"])), "border_um": 40.0}
+        motion = pixsim.Motion(image_um_per_s=(um_per_s, 0.0))
+        chain = imaging_chain(with_disc(0.5), CAMERA, PIXEL, exposure, DISPLAY, motion=motion, **settings)
+        found += METRICS["visual_noise"].compute(FrameUnderTest.of(chain, chain.capture("a")))
+    assert found[0] == found[1]
+
+
 def test_visual_noise_has_no_shading_that_is_corrected() -> None:
     """Openings that are not shifted lose a good part of the light at the edge; its correction leaves an even patch even."""
     stack = {"height_um": 6.0, "index": 1.5, "microlens": "none", "shift": "none"}
