@@ -143,21 +143,21 @@ def sweep(
         if not isinstance(name, int) and (fault := "is empty" if not name else name_fault(name)):
             raise invalid("pixels", f"a name that {fault}: {name!r:.80}", "names for a column of a table")
     request = MetricRequest(metrics_named(metrics), metric or METRIC_OPTIONS)
-    asked = {
-        name: Imaging(
-            camera,
-            pixel,
-            load_technology(pixel.technology),
-            exposure or Exposure(),
-            display or Display(),
-            correction=correction or NO_CORRECTION,
-            develop=develop or DEVELOP,
-            motion=motion or STILL,
-            metrics=request,
-            is_run=True,
-        )
-        for name, pixel in by_name.items()
-    }
+    asked: dict[Any, Imaging] = {}
+    for name, pixel in by_name.items():
+        with named(f"pixel {name}"):
+            asked[name] = Imaging(
+                camera,
+                pixel,
+                load_technology(pixel.technology),
+                exposure or Exposure(),
+                display or Display(),
+                correction=correction or NO_CORRECTION,
+                develop=develop or DEVELOP,
+                motion=motion or STILL,
+                metrics=request,
+                is_run=True,
+            )
     with collected_notes():
         for note in (*background_notes(request.names, without), *camera_notes(camera, light)):
             warn(note)
