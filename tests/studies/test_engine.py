@@ -304,7 +304,7 @@ def test_comparison_on_cluster_of_a_client_is_the_same(cluster_here: str) -> Non
 
 def test_study_on_cluster_same_bytes(cluster_here: str, toml: Path, expected: bytes, tmp_path: Path, monkeypatch) -> None:
     """Lights of a batch travel together; here two batches of two."""
-    monkeypatch.setattr("pixsim.viewer.score.SCENE_CACHE_BYTES", 150_000)
+    monkeypatch.setattr("pixsim.viewer.scene_light.SCENE_CACHE_BYTES", 150_000)
     assert pixsim.study(toml, tmp_path, scheduler=cluster_here).scenes.capacity == 2
     assert (tmp_path / "results.csv").read_bytes() == expected
 
