@@ -154,6 +154,7 @@ def white_rate(imaging: Imaging, irradiance: SpectralImage, channel: PixelPhysic
 
     Its spectrum is that of `white_light`.
 
+    imaging : camera, pixel, and the display that states the white
     channel : whose electrons these are; None: of the pixel, of a colour sensor the mean over its channels
 
     Raises PixsimError if the eye or the sensor does not respond to that spectrum.
@@ -374,6 +375,7 @@ def ideal_luminance(imaging: Imaging, irradiance: SpectralImage, edges_um: tuple
 
     A dot shows the mean of the light over its area: the limit of the image as pixels become smaller.
 
+    imaging : camera, pixel, and the display that states the white
     edges_um : of the dots' rows and columns, from `dot_edges_um`
 
     Returns (H, W) dots, 1 for the scene's white.
