@@ -310,7 +310,9 @@ def study(
     tolerance_e: common.Tolerance = None,
     refine: Annotated[
         bool | None,
-        Parameter(help="Add sizes and sensors where an interval is open, or long for want of sizes [default: that of the study].", negative="--no-refine"),
+        Parameter(
+            help="Add sizes and sensors where an interval is open or too long [default: that of the study].", negative="--no-refine"
+        ),
     ] = None,
     quick: Annotated[
         bool, Parameter(help="Fewer pitches and sensors: by NAME.quick.toml next to the study's file, or 8 and 4.")

@@ -65,12 +65,13 @@ def next_near_best(fit: FittedCurve, sensors: dict[float, int], sizes: int) -> d
     sizes : pitches before any was added
     """
     best = fit.optimum
-    is_short = best.half_width_um <= NEAR_BEST * best.pitch_um
-    if None in best.interval_um or is_short or best.between_sizes_share < MIN_BETWEEN or len(sensors) >= sizes + MAX_NEAR_BEST:
+    low_um, high_um = best.interval_um
+    if low_um is None or high_um is None or best.between_sizes_share < MIN_BETWEEN:
+        return sensors
+    if high_um - low_um <= 2 * NEAR_BEST * best.pitch_um or len(sensors) >= sizes + MAX_NEAR_BEST:
         return sensors
 
     pitches_um = np.array(sorted(sensors))
-    low_um, high_um = best.interval_um
     first = max(0, int(np.searchsorted(pitches_um, low_um, side="right")) - 1)
     last = min(pitches_um.size - 1, int(np.searchsorted(pitches_um, high_um)))
     places = fit.places_of(pitches_um)

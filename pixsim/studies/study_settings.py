@@ -65,8 +65,8 @@ class Study(Setting):
     )
     refine: bool = Field(
         True,
-        description="without target_ci_um, add a few sizes and sensors where the interval of the optimum has an open end, or is long "
-        "for want of sizes near the best (not to pitch.values_um, nor beyond the range, nor in studies of more than 64 cases)",
+        description="without target_ci_um, add a few sizes and sensors where the interval of the optimum has an open end, or is "
+        "long for want of sizes near the best (not to pitch.values_um, nor beyond the range, nor in studies of more than 64 cases)",
     )
     max_repeats: Annotated[int, Field(ge=2, le=10000)] = Field(
         32, description="largest number of sensors at one pixel size, for target_ci_um"

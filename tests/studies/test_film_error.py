@@ -20,7 +20,6 @@ from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.studies.film_error import FINER, FilmSteps, coarser, film_error, film_steps, finer_parts, measure_film, merges, parts_of
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.imaging import Imaging
 
 ROUNDING = 3e-4  # by which rounding to the display's codes and the ADC's moves mean ΔE
 
