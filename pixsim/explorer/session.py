@@ -173,7 +173,7 @@ class Session:
         if isinstance(source, SpectralImage):  # a run writes the white into the header of its light
             source = copy(source)
             source.header = dict(source.header)
-        return prepare(source, run_settings(preset.config, tables), repeats=REPEATS, **self.given)
+        return prepare(source, run_settings(preset.config, tables), repeats=REPEATS, judges_settings=False, **self.given)
 
     def _stage(self, asked: PageRequest) -> Callable[[str], Progress]:
         """Return stages that tell the page what is done, and end when other settings come."""

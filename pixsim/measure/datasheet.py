@@ -37,7 +37,7 @@ from pixsim.measure.estimators import (
     root,
 )
 from pixsim.measure.experiment import Experiment, make_experiment
-from pixsim.sensor.correction_options import Correction
+from pixsim.optics.camera import Camera
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.noise import constant_e, signal_at_snr_e, variance_e2
 from pixsim.sensor.photodiode import stored_signal_e
@@ -49,11 +49,10 @@ from pixsim.sensor.stages import STAGES
 from pixsim.show.pages import Figures, plain, rows_csv
 from pixsim.show.render import notebook, write
 from pixsim.show.sentences import rounded
-from pixsim.viewer.develop_options import Develop
-from pixsim.viewer.display_options import Display
+from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import packaged_sensors, run_settings
-from pixsim.viewer.unused import TABLES, Configuration, Rule, fields_of, warn_of_unused_settings
+from pixsim.viewer.without_effect import TABLES, GivenSettings, fields_of, warn_of_settings_without_effect
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -364,17 +363,12 @@ def datasheet(
     return make_datasheet(settings.pixel, settings.exposure, stage=progress, wavelength_nm=wavelength_nm, seed=settings.seed)
 
 
-NOT_OF_SHEETS = Rule(  # camera and lens of a sensor stand in its file for other commands
-    (
-        *(name for name in Run.model_fields if name not in (*TABLES, "seed")),
-        *fields_of("exposure", Exposure, "integration_s", "gain_db"),
-        *(name for stage in STAGES.values() for name in stage.settings if stage.table != "exposure"),
-        *fields_of("correction", Correction),
-        *fields_of("develop", Develop),
-        *fields_of("display", Display),
-        "pixel.registration",
-    ),
-    lambda c: "a data sheet is of single exposures of even light, as they are read",
+# A data sheet is of single exposures of even light, as they are read. Camera and lens stand in a sensor's file for other commands.
+NOT_OF_SHEETS = (
+    *(name for name in Run.model_fields if name not in (*TABLES, "seed")),
+    *fields_of("exposure", Exposure, "integration_s", "gain_db"),
+    *(name for stage in STAGES.values() for name in stage.settings if stage.table != "exposure"),
+    *("correction", "develop", "display", "pixel.registration"),
 )
 
 
@@ -404,7 +398,9 @@ def datasheet_settings(
         pixel = fields | {"technology": name}
     options = {"pixel": pixel or None, "exposure": exposure, "seed": seed}
     settings = run_settings(files, {name: value for name, value in options.items() if value is not None})
-    warn_of_unused_settings({"": [replace(Configuration.of(settings), own_rules=(NOT_OF_SHEETS,))]})
+    imaging = Imaging.of(settings, Camera())
+    given = GivenSettings.of_setting(imaging, settings, not_taken=NOT_OF_SHEETS, makes_frames=False)
+    warn_of_settings_without_effect({"": [given]})
     return settings
 
 

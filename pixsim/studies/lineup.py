@@ -18,7 +18,7 @@ from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import missing
 from pixsim.base.layers import Layer
 from pixsim.base.notes import warn, without_warnings
-from pixsim.base.records import Record, checked
+from pixsim.base.records import checked
 from pixsim.base.toml import packaged
 from pixsim.optics.camera import OF_DIE, Camera, CameraOptions
 from pixsim.scene.charts import MAX_LP_PER_MM
@@ -38,14 +38,16 @@ from pixsim.studies.matched_cameras import Match, matched_cameras
 from pixsim.studies.pair_uncertainty import Types
 from pixsim.studies.paired import FEWEST_PAIRS
 from pixsim.studies.preparation import check_metrics, choose_view, is_picture, loaded_scene, with_view
+from pixsim.studies.series import metrics_of
 from pixsim.studies.study_file import study_of
 from pixsim.studies.study_settings import Study, owner_of
 from pixsim.studies.varied import NOT_SETTINGS, paths_of
 from pixsim.viewer.display import dot_edges_um
 from pixsim.viewer.display_options import Display
+from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.setting import Effort, Run, Setting
 from pixsim.viewer.settings_file import packaged_sensors, settings_layer, warn_of_mixed_sensors
-from pixsim.viewer.unused import Configuration, warn_of_unused_settings
+from pixsim.viewer.without_effect import GivenSettings, changed_settings, warn_of_settings_without_effect
 
 if TYPE_CHECKING:
     from pixsim.scene.scene import Scene
@@ -338,7 +340,7 @@ def prepare(
         return tuple(made[place] for place in range(len(under)))
 
     lineups = setups_of(*range(len(sources)))
-    warn_of_unused([each.sensors for each in under], match)
+    _warn_of_settings_without_effect([each.sensors for each in under], [lineup.cases for lineup in lineups], match)
     if len(sources) == SENSORS[0]:
         pairs: tuple[tuple[Lineup, ...], ...] = (lineups,)
     else:
@@ -376,31 +378,37 @@ class Stated(NamedTuple):
         return f"condition {self.sensors[0].condition}" if self.sensors[0].condition else ""
 
 
-def warn_of_unused(conditions: Sequence[Sequence[Case[Run]]], match: Match) -> None:
-    """Warn of the settings that a comparison uses in none of its conditions, with the sensors that set them.
+def _warn_of_settings_without_effect(
+    given: Sequence[Sequence[Case[Run]]], complete: Sequence[Sequence[Case[Run]]], match: Match
+) -> None:
+    """Warn of the settings that have no effect in any condition of a comparison, with the sensors that set them.
 
-    conditions : the sensors under each condition
+    given : the sensors under each condition, as the user set them
+    complete : the same, with their cameras
 
     Motion, display, correction and development are those of the first sensor; so is the lens, unless each has its own.
     """
-    found: dict[str, list[Configuration]] = {}
-    for sensors in conditions:
-        first = sensors[0].settings
-        for sensor in sensors:
-            run = sensor.settings
+    sensors: dict[str, list[GivenSettings]] = {}
+    for sensors_of_condition, found in zip(given, complete, strict=True):
+        first = sensors_of_condition[0].settings
+        for sensor, case in zip(sensors_of_condition, found, strict=True):
             shared = {table: getattr(first, table) for table in ("motion", "correction", "develop", "display")}
-            lens_of = sensors[0].name if match != "own" and sensor is not sensors[0] else ""
-            if lens_of:  # what is the first one's too is used
-                shared |= {table: differing(getattr(run, table), getattr(first, table)) for table in ("camera", "lens")}
-            given = Configuration.of(run.model_copy(update=shared))
-            found.setdefault(sensor.name, []).append(replace(given, lens_of=lens_of, is_compared=True))
-    warn_of_unused_settings(found)
+            run = sensor.settings.model_copy(update=shared)
+            imaging = Imaging.of(run, case.camera).changed(metrics=metrics_of(first))
+            other_lens = () if match == "own" else _changed_lens(run, first)
+            facts = {"judges_run": False, "has_noise_budget": False, "other_lens": other_lens}
+            sensors.setdefault(sensor.name, []).append(GivenSettings.of_setting(imaging, run, **facts))
+    warn_of_settings_without_effect(sensors)
 
 
-def differing(record: Record, other: Record) -> Record:
-    """Return the fields of a record that another one of its kind has with another value, as one that sets no others."""
-    fields = {name: value for name, value in record if value != getattr(other, name)}
-    return type(record).model_construct(set(fields), **fields)
+def _changed_lens(run: Run, first: Run) -> tuple[str, ...]:
+    """Return the names of settings of a sensor's camera and lens, but of its die, that differ from those of the first sensor."""
+    return tuple(
+        f"{table}.{name}"
+        for table in ("camera", "lens")
+        for name in changed_settings(getattr(run, table))
+        if name not in OF_DIE and getattr(getattr(run, table), name) != getattr(getattr(first, table), name)
+    )
 
 
 def lineup_of(stated: Stated, common: Lineup | None, match: Match, sensor: str | None, variant: str | None) -> Lineup:

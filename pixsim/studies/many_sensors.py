@@ -41,7 +41,7 @@ from pixsim.viewer.review import background_notes, camera_notes
 from pixsim.viewer.scene_light import SceneCache, SceneLight
 from pixsim.viewer.score import Score
 from pixsim.viewer.screen import warn_of_clipping, white_header, with_white
-from pixsim.viewer.unused import Configuration, warn_of_unused_settings
+from pixsim.viewer.without_effect import GivenSettings, warn_of_settings_without_effect
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -168,7 +168,7 @@ def sweep(
                 warn(f"pixel {name}: {note}")
             for note in light_notes(imaging.physics, camera, light):
                 warn(note)
-        warn_of_unused_settings({"": [Configuration.of_imaging(imaging, light) for imaging in asked.values()]})
+        warn_of_settings_without_effect({"": (GivenSettings.of_records(imaging, light) for imaging in asked.values())})
 
         # All are scored on the dots that the largest pixels leave, with one white.
         border_um = max(imaging.scored_border_um for imaging in asked.values())

@@ -42,8 +42,8 @@ from pixsim.studies.pixels import physics_of, pixel_of, technology_of
 from pixsim.studies.sampling import BYTES_PER_PIXEL, border_on_um, first_sampling, largest_lens_um, study_pitches_um
 from pixsim.studies.series import metrics_of
 from pixsim.studies.study_settings import Study
-from pixsim.studies.unused import StudyConfiguration
 from pixsim.studies.varied import paths_of
+from pixsim.studies.without_effect import cases_to_try, settings_of_technology
 from pixsim.viewer.display import dot_edges_um
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.metric_options import has_target
@@ -51,7 +51,7 @@ from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, MetricContext, columns_of_m
 from pixsim.viewer.review import background_notes
 from pixsim.viewer.scene_light import check_background
 from pixsim.viewer.setting import Run, Setting
-from pixsim.viewer.unused import warn_of_unused_settings
+from pixsim.viewer.without_effect import warn_of_settings_without_effect
 
 ALLOWED_DOTS = (8, 2048)  # of a display that is chosen; a user may set up to 4096
 MIN_OCTAVES = 1.0  # of a chart that is chosen, for dies of a few pixels
@@ -417,7 +417,7 @@ def prepare(
             scene_of_case, its_camera = source_for(complete)
             of_sizes = replace(case, settings=fitted_range(complete, its_camera))
             found.append(_checked(of_sizes, scene_of_case, its_camera, without))
-    warn_of_unused([(case.settings, each.settings) for case, each in zip(cases, found, strict=True)], light)
+    _warn_of_settings_without_effect(cases, found)
     _warn_of_other_parts(found)
     # A chart that not all cases have stays chosen: settings.toml cannot state its end for all of them.
     kept = view if all(_same_chart(each.settings, own) for each in found) else without_chart(view)
@@ -433,19 +433,19 @@ def _warn_of_other_parts(cases: Sequence[Case[Study]]) -> None:
         warn(f"what moves leaves other parts of the frame to score in other cases; {margin} lets all score the same")
 
 
-def warn_of_unused(cases: Sequence[tuple[Study, Study]], light: SpectralImage | None = None) -> None:
-    """Warn of the settings that no case of a study uses, and of those that none uses in one of its technologies.
+def _warn_of_settings_without_effect(given: Sequence[Case[Study]], complete: Sequence[Case[Study]]) -> None:
+    """Warn of the settings that have no effect in any case of a study, and of those that have none in one of its technologies.
 
-    cases : each as the user set it, and with what it left open
-    light : that is given
+    given : the cases as the user set them
+    complete : the same, with what the user left open
     """
-    sensors: dict[str, list[StudyConfiguration]] = {}
-    for given, complete in cases:
-        for technology in given.technologies:
-            pixel = physics_of(complete, technology, float(study_pitches_um(complete, technology).max()))
-            of_technology = StudyConfiguration.of_technology(given, pixel, technology)
-            sensors.setdefault(technology, []).append(replace(of_technology, light=light))
-    warn_of_unused_settings(dict(zip(labels_of(list(sensors)), sensors.values(), strict=True)))
+    tried = [(given[number], complete[number]) for number in cases_to_try(given)]
+    technologies = list(dict.fromkeys(name for case in given for name in case.settings.technologies))
+    sensors = {
+        label: (settings_of_technology(*pair, name) for pair in tried if name in pair[0].settings.technologies)
+        for name, label in zip(technologies, labels_of(technologies), strict=True)
+    }
+    warn_of_settings_without_effect(sensors)
 
 
 def _same_chart(first: Study, second: Study) -> bool:

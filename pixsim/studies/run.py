@@ -56,7 +56,7 @@ from pixsim.viewer.score import FrameScore, Score
 from pixsim.viewer.screen import white_header
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
-from pixsim.viewer.unused import Configuration, warn_of_unused_settings
+from pixsim.viewer.without_effect import GivenSettings, warn_of_settings_without_effect
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -129,12 +129,15 @@ def prepare(
     sensor: str | None = None,
     variant: str | None = None,
     units: str | None = None,
+    judges_settings: bool = True,
 ) -> RunJob:
     """Choose what a run leaves open, and check everything that can be checked before a render.
 
-    The arguments are fields of `RunJob`; light in memory has the name `LIGHT_FILE`. Raises PixsimError for invalid input.
+    judges_settings : whether to warn of settings that do nothing
+
+    The other arguments are fields of `RunJob`; light in memory has the name `LIGHT_FILE`. Raises PixsimError for invalid input.
     """
-    pitch_um, given = (settings.pixel.pitch_um, Configuration.of(settings))
+    pitch_um = settings.pixel.pitch_um
     if not 1 <= frames <= MAX_FRAMES:
         hint = f"For more, call run with another {setting('seed')}: another sensor."
         raise invalid(setting("frames"), frames, f"1 to {MAX_FRAMES}", hint)
@@ -144,7 +147,6 @@ def prepare(
     picture: SpectralImage | None = None
     if isinstance(source, SpectralImage):
         picture, whole, source = source, camera_of_light(source, settings.camera, settings.lens), LIGHT_FILE
-        given = replace(given, light=picture)
     elif is_picture(source):
         of_scenes = {"-D ([scene])": settings.scene, "--sensor": sensor, "--variant": variant} | {
             f"--{name.removesuffix('_mm').replace('_', '-')} ({name})": getattr(settings, name)
@@ -154,7 +156,6 @@ def prepare(
             hint = "Take them out of a settings file of the scene, too."
             raise invalid(", ".join(stated), f"'{source}', a picture", "a Mitsuba scene, or none of these", hint)
         picture, whole = read_with_camera(source, settings.camera, units, settings.lens)
-        given = replace(given, light=picture)
     else:
         if units:
             allowed = "a picture (.exr, .npz, .hdr); the units of a render are known"
@@ -165,7 +166,9 @@ def prepare(
     assert known is not None
     without = check_metrics(settings, [settings.pixel], known, units=units)
     start_of(settings, scene)
-    warn_of_unused_settings({"": [given]})
+    if judges_settings:
+        imaging = Imaging.of(settings, whole).changed(metrics=metrics_of(settings))
+        warn_of_settings_without_effect({"": [GivenSettings.of_setting(imaging, settings, picture=picture)]})
     camera = whole.window(settings.window_mm)
     of_sheet = settings.pixel.technology == NO_TECHNOLOGY
     view = choose_view(pitch_um, camera, settings.display, scene) if of_sheet else {}

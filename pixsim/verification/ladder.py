@@ -16,7 +16,7 @@ from pixsim.base.notes import without_warnings
 from pixsim.base.progress import Progress, Stage, no_stage
 from pixsim.scene.film import fitting_width, largest_film
 from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.motion_options import STILL, Motion
+from pixsim.sensor.motion_options import STILL
 from pixsim.show.document import plain_text
 from pixsim.show.pages import Figures, plain, rows_csv
 from pixsim.show.render import notebook, write
@@ -32,7 +32,7 @@ from pixsim.viewer.light_error import LightError
 from pixsim.viewer.screen import white_header
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
-from pixsim.viewer.unused import RULES, Configuration, Rule, fields_of, warn_of_unused_settings
+from pixsim.viewer.without_effect import GivenSettings, fields_of, warn_of_settings_without_effect
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -195,14 +195,11 @@ def accuracy(
     return measure_accuracy(os.fspath(scene), settings, quick=quick, sensor=sensor, variant=variant, progress=progress or no_stage)
 
 
-NOT_USED = Rule(
-    (
-        *("metrics", "metric", "noise_budget", "tolerance_delta_e", "max_seconds", "window_mm"),
-        *("exposure.shutter", "exposure.line_time_us"),
-        *(name for name in fields_of("exposure", Exposure) if "flicker" in name),
-        *fields_of("motion", Motion),
-    ),
-    lambda c: "the errors are those of the mean ΔE of a picture that stands still in steady light",
+# The errors are those of the mean ΔE of a picture that stands still in steady light.
+NOT_TAKEN = (
+    *("metrics", "metric", "noise_budget", "tolerance_delta_e", "max_seconds", "window_mm", "motion"),
+    *("exposure.shutter", "exposure.line_time_us"),
+    *(name for name in fields_of("exposure", Exposure) if "flicker" in name),
 )
 
 
@@ -211,10 +208,10 @@ def measure_accuracy(
 ) -> Accuracy:
     """Return the result of `accuracy`. Raises PixsimError if the scene cannot be rendered or captured."""
     start = time.perf_counter()
-    given = Configuration.of(settings)
-    warn_of_unused_settings({"": [replace(given, own_rules=(NOT_USED, *RULES))]})
     scene = loaded_scene(source, settings.scene, settings.resolution, settings.display, variant=variant, sensor=sensor)
     camera = scene.camera(settings.camera, settings.lens)
+    given = GivenSettings.of_setting(Imaging.of(settings, camera), settings, not_taken=NOT_TAKEN)
+    warn_of_settings_without_effect({"": [given]})
     still: dict[str, Any] = {"motion": STILL, "exposure": settings.exposure.steady, "metrics": ("delta_e",)}
     still |= dict.fromkeys(("tolerance_delta_e", "max_seconds", "window_mm"))
     demand = demand_of(Case(settings.model_copy(update=still), found=(scene, camera)))

@@ -31,7 +31,7 @@ from pixsim.viewer.review import review
 from pixsim.viewer.scene_light import PreparedScene, SceneLight, prepare_scene
 from pixsim.viewer.score import FrameScore, Score
 from pixsim.viewer.screen import warn_of_clipping, white_header, with_white
-from pixsim.viewer.unused import Configuration, warn_of_unused_settings
+from pixsim.viewer.without_effect import warn_of_records
 
 S = TypeVar("S", bound=Score)
 MAX_CHAINS, MAX_CHAIN_BYTES = 8, 1 << 27  # that stay in memory
@@ -180,7 +180,7 @@ def evaluate(
         metrics=MetricRequest(metrics_named(metrics), metric or METRIC_OPTIONS),
         full=full,
     )
-    warn_of_unused_settings({"": [Configuration.of_imaging(imaging, irradiance)]})
+    warn_of_records(imaging, irradiance)
     chain = reviewed_chain(imaging, SceneLight(irradiance, without), is_recent=True)
     missing: dict[str, str] = {}
     score = evaluate_frame(chain, ("evaluate", seed), missing)

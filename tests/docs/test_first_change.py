@@ -22,7 +22,7 @@ from pixsim.studies.study_settings import Study
 
 PAGE = ROOT / "docs/first_change.md"
 TESTS = "flicker or every_setting_of_a_frame or rms_luminance or mean_and_variance or hand_calculation"
-FILES = ("sensor/test_readout.py", "viewer/test_unused.py", "viewer/test_score.py")
+FILES = ("sensor/test_readout.py", "viewer/test_without_effect.py", "viewer/test_score.py")
 
 
 def changes(page: str) -> Iterator[tuple[str, str, str]]:

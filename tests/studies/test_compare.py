@@ -189,7 +189,7 @@ def test_own_exposure_and_shared_settings(tmp_path: Path) -> None:
 
 
 def test_comparison_says_that_it_has_no_noise_budget(tmp_path: Path) -> None:
-    with pytest.warns(UserWarning, match="noise_budget is not used: a comparison has none"):
+    with pytest.warns(UserWarning, match="^noise_budget changes nothing here"):
         prepared([sheet(tmp_path / "a.toml"), sheet(tmp_path / "b.toml")], noise_budget=True)
 
 

@@ -1,0 +1,691 @@
+"""Settings that do nothing: one rule for every command, and a table of those settings that the rule cannot judge.
+
+A setting does nothing if the mean frame, its closed-form variance, the ideal picture and the metrics that were asked for are the
+same at its default, on one small light in which no pixel is full. The small light stands on a sensor of a few hundred pixels; the
+camera is scaled with its die, so that every part of the field is in the picture.
+
+The small light is so faint that an automatic exposure comes close to its longest time, where dark charge, motion and flicker are
+largest. It stands behind a thin lens: what the file of a real one leaves open is judged where the file is read.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Literal, NamedTuple, get_args, get_origin
+
+import numpy as np
+
+from pixsim.base.arrays import Array
+from pixsim.base.errors import PixsimError
+from pixsim.base.notes import warn, without_warnings
+from pixsim.base.records import Record
+from pixsim.light.spectral import DIFFUSER, DIFFUSER_W, HIGH_NM, LOW_NM, SpectralImage
+from pixsim.optics.lens_options import OF_ANY_LENS
+from pixsim.sensor.correction import residual_variance_e2
+from pixsim.sensor.integration import ChannelLight, array_size_um, collecting_area_um2, electrons_per_joule, lights_of
+from pixsim.sensor.motion_options import Motion
+from pixsim.sensor.photodiode import stored_signal_e
+from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.pixel_options import NO_TECHNOLOGY
+from pixsim.sensor.readout import Frame, integration_time_s
+from pixsim.sensor.technology import load_technology
+from pixsim.viewer import display as displays
+from pixsim.viewer.chain import ImagingChain, make_chain
+from pixsim.viewer.dark_clip import dark_clip
+from pixsim.viewer.display_options import Display
+from pixsim.viewer.frame_under_test import FrameUnderTest
+from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.metric_options import has_target
+from pixsim.viewer.metrics import Metric, NoNumberError
+from pixsim.viewer.raw_metrics import DETECTABILITY
+from pixsim.viewer.scene_light import PreparedScene, SceneLight, prepare_scene
+from pixsim.viewer.screen import HEADER_OF_WHITE, amount_of_white, white_field, white_header, with_white
+from pixsim.viewer.setting import Setting
+
+RESOLVED = 1e-3  # of the smallest difference that a result resolves: the scatter of a frame, a code of the display
+METRIC_DIGITS = 1e-6  # relative: 1e-3 of the last of the four digits that are shown
+PIXELS, SAMPLES = 20, 24  # across the small light; they do not divide each other, so that places of pixels show
+MIN_ASPECT, MAX_ASPECT = 0.5, 2.0  # of the small light
+DOTS = 16  # of the display across it
+BAND_NM = 40.0
+WHITE_OVER_LIGHT = 1.1  # so that no dot of the ideal picture is brighter than display white
+OTHER_WHITE = 1.25  # the white of the small light over the one that is stated
+# Of the longest time of an automatic exposure: no whole number of periods of lamps, and below it.
+PART_OF_LONGEST = (math.sqrt(5) - 1) / 2
+PART_OF_WELL, MIN_PART_OF_WELL = 0.5, 0.1  # of what dark charge leaves, of the brightest pixel
+STREAM = ("small light",)
+KEPT_NOTES = 256  # of calls with records
+SAME_LENGTH = 1e-6  # relative, of lengths that are equal but for rounding
+QUICK_MATRIX = "least_squares"  # in place of the default one, which takes a quarter of a second
+TABLES = "camera", "lens", "pixel", "exposure", "motion", "correction", "develop", "display"
+
+
+# --- names of settings ------------------------------------------------------------------------------------------------
+
+
+def changed_settings(record: Record, prefix: str = "", but: Sequence[str] = ()) -> Iterator[str]:
+    """Yield the dotted names of fields that were set to another value than their default, also in records inside.
+
+    A value of 0 is the absence of what it states, and no such setting.
+    """
+    for name, info in type(record).model_fields.items():
+        value = getattr(record, name)
+        if name not in record.model_fields_set or name in but or (value == 0 and value is not False):
+            continue
+        # Pydantic 2.10 asks for the data, which no factory of a record takes.
+        if value != info.get_default(call_default_factory=True, validated_data={}):
+            yield prefix + name
+            if isinstance(value, Record):
+                yield from changed_settings(value, f"{prefix}{name}.")
+
+
+def fields_of(table: str, record: type[Record], *but: str) -> tuple[str, ...]:
+    """Return the dotted names of a record's fields, but some."""
+    return tuple(f"{table}.{name}" for name in record.model_fields if name not in but)
+
+
+class Default:
+    """In place of a value, that a setting is left out."""
+
+
+def record_with(record: Record, path: Sequence[str], value: object) -> Record:
+    """Return a record with another value of one of its fields, or of a record inside.
+
+    value : `Default` leaves the field out, and a record inside with its last field
+
+    Raises PixsimError if the others are refused with it.
+    """
+    name, *inner = path
+    fields = {other: getattr(record, other) for other in record.model_fields_set}
+    if inner and not (value is Default and fields[name].model_fields_set == {*inner}):
+        value = record_with(fields[name], inner, value)
+    fields[name] = value
+    return type(record)(**{other: kept for other, kept in fields.items() if kept is not Default})
+
+
+def imaging_with(imaging: Imaging, name: str, value: object) -> Imaging:
+    """Return an imaging with another value of a setting, as of `record_with`."""
+    table, *path = name.split(".")
+    if table == "metric":
+        options = record_with(imaging.metrics.options, path, value)
+        return imaging.changed(metrics=replace(imaging.metrics, options=options))  # type: ignore[arg-type]
+    if table == "lens":
+        table, path = "camera", [OF_ANY_LENS[path[0]]]
+    imaging = imaging.changed(**{table: record_with(getattr(imaging, table), path, value)})
+    return imaging.changed(technology=load_technology(imaging.pixel.technology)) if name == "pixel.technology" else imaging
+
+
+def words_of(annotation: object) -> Iterator[object]:
+    """Yield the words that a type allows."""
+    if get_origin(annotation) is Literal:
+        yield from get_args(annotation)
+    else:
+        for part in get_args(annotation):
+            yield from words_of(part)
+
+
+# --- the small light --------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class SmallLight:
+    """A picture with an edge, a ramp and a coloured patch on a few hundred pixels of a sensor.
+
+    light : with the target, and the white
+    background : the same without the target
+    imaging : the settings for which it was made
+    scale : (height, width) of the small light over the picture's
+    white : that the display shows as its white, in cd/m², or in W m⁻² sr⁻¹ of light that nobody sees
+    """
+
+    light: SpectralImage
+    background: SpectralImage
+    imaging: Imaging
+    scale: tuple[float, float]
+    white: dict[str, float]
+    _lights: dict[object, tuple[ChannelLight, ...]] = field(default_factory=dict, init=False, repr=False)
+    _prepared: dict[object, PreparedScene] = field(default_factory=dict, init=False, repr=False)
+
+    @classmethod
+    def of(cls, imaging: Imaging, picture: SpectralImage | None = None) -> SmallLight:
+        """Return the small light for settings; `picture` is light that is given, whose bands it has."""
+        physics, camera = imaging.physics, imaging.camera
+        read_um = physics.as_read.read_pitch_um
+        size_um = camera.die_um if picture is None else displays.picture_size_um(picture)
+        aspect = min(max(size_um[0] / size_um[1], MIN_ASPECT), MAX_ASPECT)
+        width_um = PIXELS * read_um
+        sample_um = width_um / SAMPLES
+        rows = round(aspect * SAMPLES)
+        scale = rows * sample_um / size_um[0], width_um / size_um[1]
+
+        header = {"camera": camera.model_dump()} if picture is None or "camera" in picture.header else {}
+        if picture is not None and "diffraction" in picture.header:
+            header["diffraction"] = picture.header["diffraction"]
+        if picture is None:
+            count = int((HIGH_NM - LOW_NM) / BAND_NM)
+            bands = HIGH_NM - BAND_NM * (np.arange(count, 0, -1) - 0.5), np.full(count, BAND_NM)
+        else:
+            bands = picture.wavelength_nm, picture.band_width_nm
+        spectra = np.stack([600 / bands[0], bands[0] / 600])
+        with_target, background = (np.stack(planes).astype(np.float32) for planes in _pictures(rows))
+
+        def light(planes: Array, brightness: float, white: Mapping[str, object]) -> SpectralImage:
+            return SpectralImage(*bands, sample_um, factors=(brightness * spectra, planes), header=header | white)
+
+        unit = light(with_target, 1.0, {})
+        small = cls(unit, unit, imaging, scale, {})
+        brightness = small._brightness(small.seen(imaging))
+        lit = replace(small, light=light(with_target, brightness, {}))
+        white = lit._white(lit.seen(imaging))
+        entries = lit._white_entries(white, imaging.display)
+        pictures = {"light": light(with_target, brightness, entries), "background": light(background, brightness, entries)}
+        return replace(lit, **pictures, white=white)
+
+    def _brightness(self, imaging: Imaging) -> float:
+        """Return by what the light is multiplied so that no pixel is full, and automatic exposures are long."""
+        physics, exposure = imaging.readout, imaging.exposure
+        electrons = [
+            float((electrons_per_joule(channel, self.light) * self.light.factors[0].mean(axis=0)).sum())
+            * collecting_area_um2(self.light, imaging.camera, channel)
+            for channel in imaging.physics.channels
+        ]
+        of_unit_e_per_s = 1e-12 * max(electrons) * physics.bin_side**2
+        if not of_unit_e_per_s > 0:  # pixels that see nothing of it are refused elsewhere
+            return 1.0
+
+        if exposure.integration_s is None:
+            well_e = exposure.well_target * physics.saturation_e
+            time_s = PART_OF_LONGEST * exposure.times * exposure.max_integration_s
+            if exposure.flicker_hz is not None:  # in many periods lamps are steady
+                time_s = min(time_s, PART_OF_LONGEST / exposure.flicker_hz)
+            if physics.dark_current_e_per_s * time_s > PART_OF_WELL * well_e:
+                time_s = PART_OF_WELL * well_e / physics.dark_current_e_per_s
+        else:
+            well_e = PART_OF_WELL * physics.saturation_e
+            time_s = exposure.times * exposure.integration_s
+        light_e = max(well_e - physics.dark_current_e_per_s * time_s, MIN_PART_OF_WELL * well_e)
+        return light_e / time_s / of_unit_e_per_s
+
+    def _white(self, imaging: Imaging) -> dict[str, float]:
+        """Return the white by the field of a display that states it, also of the other kind where a display may state it."""
+        display = imaging.display.model_copy(update=dict.fromkeys(("white", *HEADER_OF_WHITE)))
+        name = white_field(self.light)
+        white = {name: WHITE_OVER_LIGHT * float(amount_of_white(imaging.changed(display=display), self.light).max())}
+        other = next(field for field in HEADER_OF_WHITE if field != name)
+        if getattr(imaging.display, other) is not None:
+            rates = []
+            for kind in (name, other):
+                unit = imaging.changed(display=display.model_copy(update={kind: 1.0}))
+                rates.append(displays.white_rate(unit, self.light, imaging.physics.channels[0]))
+            white[other] = white[name] * rates[0] / rates[1]
+        return white
+
+    def _white_entries(self, white: dict[str, float], display: Display) -> dict[str, object]:
+        """Return entries of a header: another white than a display may state, and what a white plate shows."""
+        (name, value), *_ = white.items()
+        entries: dict[str, object] = {HEADER_OF_WHITE[name]: OTHER_WHITE * value}
+        if display.white == "diffuser":
+            weight = self.light.luminous_weight() if name == "white_cd_per_m2" else self.light.band_width_nm
+            per_nm = np.full(weight.shape, value / weight.sum() / display.diffuser_reflectance)
+            entries[DIFFUSER] = {DIFFUSER_W: per_nm.tolist(), "distance_m": 1.0}
+        return entries
+
+    def seen(self, imaging: Imaging) -> Imaging:
+        """Return settings for the small light: the camera scaled with its die, few dots, and the white in its unit."""
+        down, across = self.scale
+        camera = imaging.camera
+        tables = {
+            name: rows and tuple((across * row[0], *row[1:]) for row in rows)
+            for name, rows in (("chief_ray_angle", camera.chief_ray_angle), ("fall_off", camera.fall_off))
+        }
+        lengths = {name: across * getattr(camera, name) for name in ("focal_length_mm", "object_distance_m", "die_mm")}
+        height_mm = None if camera.die_height_mm is None else down * camera.die_height_mm
+        camera = camera.model_copy(update={"lens": None, "die_height_mm": height_mm, **lengths, **tables})
+
+        develop = imaging.develop
+        if "matrix" not in self.imaging.develop.model_fields_set:
+            develop = develop.model_copy(update={"matrix": QUICK_MATRIX})
+
+        display = imaging.display
+        stated = {name: value for name, value in self.white.items() if getattr(display, name) is not None}
+        display = display.model_copy(update={"dots": DOTS, **stated})
+        motion = Motion(image_um_per_s=imaging.um_per_s) if imaging.motion.is_on else imaging.motion
+        seen = imaging.changed(
+            camera=camera,
+            develop=develop,
+            display=display,
+            motion=motion,
+            border_um=imaging.physics.as_read.border_um,
+            single=False,
+            is_run=False,
+        )
+        return seen.changed(display=with_white(display, white_header([(seen, self.light)]))) if self.white else seen
+
+    def _seen_from(self, imaging: Imaging) -> tuple[object, ...]:
+        """Return what the light behind the lens depends on."""
+        physics = imaging.physics
+        electrons = [electrons_per_joule(channel, self.light).tobytes() for channel in physics.channels]
+        charge = physics.charge.content_hash if physics.charge else ""
+        return imaging.camera.model_dump_json(), repr(imaging.pixel.stack), charge, tuple(electrons)
+
+    def behind_lens(self, imaging: Imaging) -> tuple[ChannelLight, ...]:
+        """Return the light behind the lens, as each channel sees it."""
+        key = self._seen_from(imaging)
+        if key not in self._lights:
+            self._lights[key] = lights_of(self.light, imaging.camera, imaging.physics)
+        return self._lights[key]
+
+    def prepared(self, imaging: Imaging) -> PreparedScene:
+        """Return the light behind the lens, and the ideal picture."""
+        read, develop, metrics = imaging.physics.as_read, imaging.develop, imaging.metrics
+        pixels = str(imaging.physics.layout), read.read_pitch_um, read.border_um, read.registration
+        tone = develop.tone_curve, develop.tone_gamma, develop.tone_white
+        key = (*self._seen_from(imaging), pixels, imaging.display.model_dump_json(), tone, metrics.chosen, metrics.needs_light)
+        if key not in self._prepared:
+            light = SceneLight(self.light, self.background if has_target(metrics.names) else None)
+            self._prepared[key] = prepare_scene(imaging, light, lights=self.behind_lens(imaging))
+        return self._prepared[key]
+
+
+def _pictures(rows: int) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """Return the planes of both spectra, (rows, SAMPLES) each, with and without the target.
+
+    From left to right: black, a ramp, and behind a slanted edge white. The target is a square on the ramp, of one spectrum alone.
+    """
+    y, x = ((np.arange(count) + 0.5) / count for count in (rows, SAMPLES))
+    ramp = np.clip((x[None] - 0.15) / 0.6, 0.0, 1.0) * np.ones((rows, 1)) * 0.6
+    ramp[x[None] > 0.7 + 0.1 * (y[:, None] - 0.5)] = 1.0
+    patch = (np.abs(x[None] - 0.5) < 0.12) & (np.abs(y[:, None] - 0.5) < 0.2)
+    share = np.where(y[:, None] < 0.5, 0.4, 0.6) * np.ones((1, SAMPLES))
+    background = share * ramp, (1 - share) * ramp
+    return (np.where(patch, ramp, background[0]), np.where(patch, 0.0, background[1])), background
+
+
+# --- the rule ---------------------------------------------------------------------------------------------------------
+
+
+class SmallFrame:
+    """What settings make of the small light, each part computed when it is asked for."""
+
+    def __init__(self, small: SmallLight, imaging: Imaging, base: SmallFrame | None = None) -> None:
+        self.small = small
+        self.base = base or self
+        self.imaging = small.seen(imaging)
+
+    @property
+    def physics(self) -> PixelPhysics:
+        return self.imaging.physics
+
+    @cached_property
+    def prepared(self) -> PreparedScene:
+        """The small light behind the lens, and the ideal picture."""
+        return self.small.prepared(self.imaging)
+
+    @cached_property
+    def chain(self) -> ImagingChain:
+        return make_chain(self.imaging, self.prepared, room_is_checked=True)
+
+    @cached_property
+    def frame(self) -> Frame:
+        return self.chain.capture(*STREAM)
+
+    @property
+    def read(self) -> PixelPhysics:
+        """The pixel as it is read."""
+        return self.imaging.readout
+
+    @cached_property
+    def mean_e(self) -> Array:
+        """Mean charge of light and dark as the well and its conversion hold it, (rows, columns)."""
+        if self.base is self:
+            frame = self.frame
+        else:  # no frame depends on the screen
+            array_um = array_size_um(self.small.light, self.imaging.camera)
+            prepared = replace(self.base.prepared, lights=self.small.behind_lens(self.imaging), array_um=array_um)
+            frame = make_chain(self.imaging, prepared, room_is_checked=True).capture(*STREAM)
+        count = frame.exposures
+        charge_e = (frame.mean_e + frame.mean_dark_e) / count
+        return count * stored_signal_e(charge_e, frame.integration_s / count, self.read.burst(1))
+
+    @cached_property
+    def time_s(self) -> float:
+        """Integration time of a frame of the base's light."""
+        return integration_time_s(self.imaging.exposure, self.physics.as_read, float(self.base.chain.signal_e_per_s.max()))
+
+    def variance_e2(self, light_e: Array) -> Array:
+        """Return the variance of a corrected pixel over frames and sensors, in the shape (...) of the mean charge of light."""
+        return np.asarray(residual_variance_e2(light_e, self.time_s, self.read, self.imaging.correction).total)
+
+    @property
+    def ends_e(self) -> Array:
+        """Charge without light, and that at which a frame ends."""
+        return np.array([self.read.dark_current_e_per_s * self.time_s, self.read.saturation_e])
+
+    @cached_property
+    def clipped_e(self) -> Array:
+        """What clipping at code 0 adds to the mean of a dark frame."""
+        white_e = self.base.chain.white_e_per_s * self.time_s
+        return np.array(dark_clip(self.read, self.time_s, white_e)["too_bright_e"])
+
+    def metric_values(self, metric: Metric, frame: Frame) -> Array:
+        """Return the numbers of a metric of a frame, (n,); NaN where it has none."""
+        judged = FrameUnderTest.of(self.chain, frame, stream=STREAM)
+        try:
+            values = metric.values(judged if metric.needs_frame else judged.score)
+        except NoNumberError:
+            return np.full(len(metric.columns), np.nan)
+        return np.array(list(values.values()))
+
+
+def has_effect(base: SmallFrame, other: SmallFrame) -> bool:
+    """Whether two settings give the small light another frame, noise, ideal picture or metric.
+
+    The noise is that of the same mean charge, and the picture that of the same frame: each part is judged by itself.
+    """
+    if str(other.physics.layout) != str(base.physics.layout):
+        return True
+    light_e = base.frame.mean_e
+    variance_e2 = base.variance_e2(light_e)
+    scatter_e = np.sqrt(variance_e2)
+    if _differ(other.variance_e2(light_e), variance_e2, (RESOLVED * scatter_e) ** 2):
+        return True
+    if _differ(other.ends_e, base.ends_e, RESOLVED * float(scatter_e.min())):
+        return True
+    if _differ(other.mean_e, base.mean_e, RESOLVED * scatter_e):
+        return True
+    if _differ(other.clipped_e, base.clipped_e, RESOLVED * float(scatter_e.min())):
+        return True
+
+    code = 2.0**-base.imaging.display.bits
+    if _differ(other.prepared.screen.ideal, base.prepared.screen.ideal, RESOLVED * code):
+        return True
+    metrics = base.imaging.metrics.chosen
+    if any(metric.is_delta_e for metric in metrics):
+        light, other_light = (trial.chain.development.light(base.frame) for trial in (base, other))  # before a display rounds it
+        if _differ(other_light, light, RESOLVED * code):
+            return True
+        ours, theirs = (trial.chain.development.score(base.frame) for trial in (base, other))
+        if _differ(theirs.image, ours.image, RESOLVED * code) or _differ(theirs.delta_e, ours.delta_e, 100 * RESOLVED * code):
+            return True
+    for metric in metrics:
+        if not metric.is_delta_e:
+            values = base.metric_values(metric, base.frame)
+            # NaN differs from everything: of a metric without a number nothing is known.
+            if _differ(other.metric_values(metric, base.frame), values, METRIC_DIGITS * np.abs(values)):
+                return True
+    return False
+
+
+def _differ(values: Array, others: Array, tolerance: Array | float) -> bool:
+    """Whether arrays have other shapes, or values that differ by more than a tolerance."""
+    return values.shape != others.shape or not bool((np.abs(values - others) <= tolerance).all())
+
+
+# --- what the rule cannot judge ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class CommandFacts:
+    """What decides on settings of a command that no frame shows.
+
+    settings : of the command; None for a call with records
+    picture : light that is given; None for light that is rendered
+    judges_run : whether it makes one frame, of which it may look for the target that is just seen
+    has_noise_budget : whether it tells one
+    adds_sensors, may_refine : whether a study adds sizes and sensors, and whether it may be told not to
+    other_lens : names of settings of another camera and lens than those that all sensors of a comparison have
+    not_taken : names of settings and tables that the command does not take
+    makes_frames : whether it makes the frames of a run, in other light
+    """
+
+    settings: Setting | None = None
+    picture: SpectralImage | None = field(default=None, repr=False)
+    judges_run: bool = True
+    has_noise_budget: bool = True
+    adds_sensors: bool = True
+    may_refine: bool = True
+    other_lens: tuple[str, ...] = ()
+    not_taken: tuple[str, ...] = ()
+    makes_frames: bool = True
+
+    def takes(self, name: str) -> bool | None:
+        """Whether the command takes a setting; None if the frames of a run tell."""
+        if any(name == other or name.startswith(f"{other}.") for other in self.not_taken):
+            return False
+        return None if self.makes_frames else True
+
+    @property
+    def is_rendered(self) -> bool:
+        """Whether the camera has decided on the light."""
+        return self.picture is None or "camera" in self.picture.header
+
+
+@dataclass(frozen=True)
+class GivenSettings:
+    """Settings that hold together, and the names of those that the user gave another value than their default.
+
+    names : dotted, as `pixel.stack.height_um`
+    """
+
+    imaging: Imaging
+    names: tuple[str, ...]
+    command: CommandFacts = CommandFacts()
+
+    @classmethod
+    def of(cls, imaging: Imaging, tables: Mapping[str, Record], command: CommandFacts) -> GivenSettings:
+        """Return those of tables by their names, as the user gave them, and of the command's settings above all tables."""
+        names = [] if command.settings is None else list(changed_settings(command.settings, but=tuple(tables)))
+        for table, record in tables.items():
+            # A complete camera has its lens inside, whose settings have a table of their own, and the die of its pixels.
+            inside = ("lens", "pixels", *OF_ANY_LENS.values()) if table == "camera" else ()
+            names += changed_settings(record, f"{table}.", but=inside)
+        names = [name for name in names if not any(other.startswith(f"{name}.") for other in names)]
+
+        technology = imaging.physics.technology
+        same = {f"pixel.{name}" for name, value in imaging.pixel if value == getattr(technology, name, None)}
+        if technology.name == NO_TECHNOLOGY:  # which follows from the numbers of a data sheet
+            same.add("pixel.technology")
+        if command.picture is not None:
+            sizes_mm = (1e-3 * um for um in displays.picture_size_um(command.picture))
+            dies_mm = imaging.camera.die_height_mm, imaging.camera.die_mm
+            for name, size_mm, die_mm in zip(("camera.die_height_mm", "camera.die_mm"), sizes_mm, dies_mm, strict=True):
+                if die_mm is not None and math.isclose(die_mm, size_mm, rel_tol=SAME_LENGTH):
+                    same.add(name)
+        return cls(imaging, tuple(name for name in names if name not in same), command)
+
+    @classmethod
+    def of_records(cls, imaging: Imaging, light: SpectralImage) -> GivenSettings:
+        """Return those of a call with records, in light that is given."""
+        tables: dict[str, Record] = {table: getattr(imaging, table) for table in TABLES if table != "lens"}
+        tables |= {"lens": imaging.camera.lens_options, "metric": imaging.metrics.options}
+        return cls.of(imaging, tables, CommandFacts(picture=light))
+
+    @classmethod
+    def of_setting(cls, imaging: Imaging, setting: Setting, **facts: Any) -> GivenSettings:
+        """Return those of a command's settings; `facts` are fields of `CommandFacts`."""
+        tables: dict[str, Record] = {table: getattr(setting, table) for table in TABLES}
+        return cls.of(imaging, tables, CommandFacts(settings=setting, **facts))
+
+    @cached_property
+    def base(self) -> SmallFrame | None:
+        """What the settings make of the small light; None where it is too small for them."""
+        try:
+            trial = SmallFrame(SmallLight.of(self.imaging, self.command.picture), self.imaging)
+            trial.variance_e2(trial.frame.mean_e)
+        except PixsimError:
+            return None
+        return trial
+
+    def trial_with(self, name: str, value: object) -> SmallFrame:
+        """Return what other settings make of the small light, as of `imaging_with`. Raises PixsimError if they are refused."""
+        assert self.base is not None
+        return SmallFrame(self.base.small, imaging_with(self.imaging, name, value), self.base)
+
+    def without_effect(self) -> list[str]:
+        """Return the names of the settings that do nothing."""
+        with without_warnings(), np.errstate(all="ignore"):
+            return [name for name in self.names if not self._acts(name)]
+
+    def _acts(self, name: str) -> bool:
+        for row in ROWS:
+            if not row.settings or any(name == setting or name.startswith(f"{setting}.") for setting in row.settings):
+                acts = row.acts(self, name)
+                if acts is not None:
+                    return acts
+        if self.base is None or name.partition(".")[0] not in (*TABLES, "metric"):
+            return True
+        if self._differs_with(name, Default, when_refused=True):
+            return True
+        # A default may stand for one of the words of a setting, which acts by the others.
+        return any(self._differs_with(name, word, when_refused=False) for word in self._words(name))
+
+    def _differs_with(self, name: str, value: object, *, when_refused: bool) -> bool:
+        assert self.base is not None
+        try:
+            return has_effect(self.base, self.trial_with(name, value))
+        except PixsimError:
+            return when_refused
+
+    def _words(self, name: str) -> list[object]:
+        """Return the words that a setting may be."""
+        table, *path = name.split(".")
+        record = self.imaging.metrics.options if table == "metric" else getattr(self.imaging, table, self.imaging.camera)
+        for part in path[:-1]:
+            record = getattr(record, part)
+        fields = type(record).model_fields
+        return list(words_of(fields[path[-1]].annotation)) if path[-1] in fields else []
+
+
+class Row(NamedTuple):
+    """Settings or tables, none for all of them, and whether one does something in a command; None leaves it to the rule."""
+
+    settings: tuple[str, ...]
+    acts: Callable[[GivenSettings, str], bool | None]
+
+
+def _gain_changes_noise(given: GivenSettings, name: str) -> bool | None:
+    """Of a stated time. Gain moves the end of the codes and their rounding, which the rule sees; what it is for is the noise."""
+    base = given.base
+    if given.imaging.exposure.integration_s is None or base is None:
+        return None
+    other = given.trial_with(name, Default)
+    light_e = base.frame.mean_e
+    scatter_e, without_e = (math.sqrt(float(trial.variance_e2(light_e).mean())) for trial in (base, other))
+    return None if abs(scatter_e - without_e) > RESOLVED * without_e else False
+
+
+def _moves(given: GivenSettings, name: str) -> bool:
+    """Of motion, which also decides which part of a frame is scored, however far the picture moves."""
+    motion = given.imaging.motion
+    return any(motion.velocity_mm_per_s or ()) if name == "motion.distance_m" else motion.is_on
+
+
+def _is_of_lens(given: GivenSettings, name: str) -> bool | None:
+    """Of the camera and the lens: those of another sensor do nothing, and what a real lens decides stands in its file."""
+    table, field_name, *_ = name.split(".")
+    if name in given.command.other_lens:
+        return False
+    is_of_file = given.imaging.camera.lens is not None if table == "camera" else field_name not in OF_ANY_LENS
+    return is_of_file or None
+
+
+def _costs(given: GivenSettings, name: str) -> bool:
+    """Of what a render may cost."""
+    settings = given.command.settings
+    replaced = name == "render_noise" and settings is not None and settings.tolerance_delta_e is not None
+    return given.command.picture is None and not replaced
+
+
+def _is_of_render(given: GivenSettings, name: str) -> bool | None:
+    """Of what a render depends on: field, focus, brightness and fall-off."""
+    has_fall_off = name != "camera.chief_ray_angle" or given.imaging.camera.relative_illumination is not None
+    return (given.command.is_rendered and has_fall_off) or None
+
+
+CAMERA_OF_RENDER = "focal_length_mm", "f_number", "die_mm", "die_height_mm", "object_distance_m", "transmittance", "chief_ray_angle"
+ROWS = (
+    # The small light is that of a run: other commands have no such frame, or do not take all settings.
+    Row((), lambda given, name: given.command.takes(name)),
+    # It has pixels of one size.
+    Row(("max_repeats", "max_evaluations"), lambda given, _: given.command.adds_sensors),
+    Row(("refine",), lambda given, _: given.command.may_refine),
+    # It stands behind a thin lens, that of the user's settings.
+    Row(("camera", "lens"), _is_of_lens),
+    # It is not rendered.
+    Row(("tolerance_e", "render_noise", "max_seconds"), _costs),
+    Row((*(f"camera.{name}" for name in CAMERA_OF_RENDER), "lens.relative_illumination"), _is_of_render),
+    # It has one target, which no parameter states, and no noise budget.
+    Row(("noise_budget",), lambda given, _: given.command.has_noise_budget),
+    Row(
+        ("metric.detectability.without",),
+        lambda given, _: has_target(given.imaging.metrics.names) and given.command.settings is not None,
+    ),
+    Row(
+        ("metric.detectability.solve_for",),
+        lambda given, _: given.command.judges_run and DETECTABILITY.name in given.imaging.metrics.names,
+    ),
+    # It is bright enough for a time below the longest one, and has no room for what moves.
+    Row(("exposure.max_integration_s",), lambda given, _: given.imaging.exposure.integration_s is None or None),
+    Row(("exposure.gain_db",), _gain_changes_noise),
+    Row(("motion",), _moves),
+    # It has few dots, always as many, and few pixels, perhaps none of them hot.
+    Row(("display.dots",), lambda given, _: given.imaging.display.raster == "fixed_size"),
+    Row(("correction.defects",), lambda given, _: True),
+)
+
+
+# --- notes ------------------------------------------------------------------------------------------------------------
+
+
+def effect_notes(sensors: Mapping[str, Iterable[GivenSettings]]) -> list[str]:
+    """Return sentences that name the settings without effect, and the sensors, unless all of them have it.
+
+    sensors : name -> the settings of each of its cases; what has an effect in one of them has one
+    """
+    labels_of: dict[str, list[str]] = {}
+    for label, cases in sensors.items():
+        names: list[str] | None = None
+        for given in cases:
+            if names is not None:
+                given = replace(given, names=tuple(name for name in names if name in given.names))
+            names = given.without_effect()
+            if not names:
+                break
+        for name in names or ():
+            labels_of.setdefault(name, []).append(label)
+
+    names_of: dict[tuple[str, ...], list[str]] = {}
+    for name, labels in labels_of.items():
+        names_of.setdefault(tuple(labels), []).append(name)
+    notes = []
+    for labels, names in names_of.items():
+        text = f"{', '.join(names)} {'changes' if len(names) == 1 else 'change'} nothing here"
+        notes.append(text if len(labels) == len(sensors) else f"{', '.join(labels)}: {text}")
+    return notes
+
+
+def warn_of_records(imaging: Imaging, light: SpectralImage) -> None:
+    """Warn of the settings without effect of a call with records, which may come again: they are judged once."""
+    tables = [getattr(imaging, table) for table in TABLES if table != "lens"]
+    metrics = [(metric.name, metric.code) for metric in imaging.metrics.chosen]
+    bands = light.wavelength_nm.tobytes(), light.band_width_nm.tobytes(), light.shape, light.pitch_um
+    header = [repr(light.header.get(name)) for name in ("camera", "diffraction")]
+    key = *(record.model_dump_json() for record in (*tables, imaging.metrics.options)), *metrics, *bands, *header
+    if key not in _notes:
+        while len(_notes) >= KEPT_NOTES:
+            del _notes[next(iter(_notes))]
+        _notes[key] = effect_notes({"": [GivenSettings.of_records(imaging, light)]})
+    for text in _notes[key]:
+        warn(text)
+
+
+_notes: dict[tuple[object, ...], list[str]] = {}
+
+
+def warn_of_settings_without_effect(sensors: Mapping[str, Iterable[GivenSettings]]) -> None:
+    """Warn of each of the `effect_notes`, on behalf of the public function that calls this one."""
+    for text in effect_notes(sensors):
+        warn(text)
