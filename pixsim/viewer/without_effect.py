@@ -214,13 +214,11 @@ class SmallLight:
         display = imaging.display.model_copy(update=dict.fromkeys(("white", *HEADER_OF_WHITE)))
         name = white_field(self.light)
         white = {name: WHITE_OVER_LIGHT * float(amount_of_white(imaging.changed(display=display), self.light).max())}
-        other = next(field for field in HEADER_OF_WHITE if field != name)
-        if getattr(imaging.display, other) is not None:
-            rates = []
-            for kind in (name, other):
-                unit = imaging.changed(display=display.model_copy(update={kind: 1.0}))
-                rates.append(displays.white_rate(unit, self.light, imaging.physics.channels[0]))
-            white[other] = white[name] * rates[0] / rates[1]
+        if name == "white_cd_per_m2" and imaging.display.white_w_per_m2_sr is not None:  # which stands in place of a luminance
+            radiance = "white_w_per_m2_sr"
+            units = [imaging.changed(display=display.model_copy(update={kind: 1.0})) for kind in (name, radiance)]
+            rates = [displays.white_rate(unit, self.light, imaging.physics.channels[0]) for unit in units]
+            white[radiance] = white[name] * rates[0] / rates[1]
         return white
 
     def _white_entries(self, white: dict[str, float], display: Display) -> dict[str, object]:
