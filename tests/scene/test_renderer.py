@@ -20,7 +20,7 @@ from pixsim import optics
 from pixsim.base import arrays
 from pixsim.base.errors import PixsimError
 from pixsim.cli.commands import run
-from pixsim.cli.options import SceneOptions
+from pixsim.cli.options import EffortOptions, SceneOptions
 from pixsim.light import spectral
 from pixsim.light.exr import write_channels
 from pixsim.scene import charts
@@ -227,7 +227,8 @@ def test_render_top_left_is_kept_in_files(tmp_path):
     (tmp_path / "options.toml").write_text("pixel.pitch_um = 42.4\ndisplay.dots = 64")
     out = tmp_path / "out"
     define = [f"chart={tmp_path / 'corners.exr'}", "resolution=64"]
-    run("flat", options=SceneOptions(define=define, config=[tmp_path / "options.toml"]), out=out)
+    effort = EffortOptions(resolution="64")
+    run("flat", options=SceneOptions(define=define, config=[tmp_path / "options.toml"]), effort=effort, out=out)
 
     def stored(name: str, channel: str) -> np.ndarray:
         with OpenEXR.File(str(out / name), separate_channels=True) as file:

@@ -30,7 +30,7 @@ def lights_of(**over: Any) -> dict[str, tuple[Case[Study], Light]]:
 
 def test_dimmer_light_is_that_of_a_render_of_its_own_with_the_film_of_the_brightest() -> None:
     """The film is fine enough by far with most light."""
-    lights = lights_of(axis=[LIGHT], resolution=512)
+    lights = lights_of(axis=[LIGHT], resolution=1024)
     (_, bright), (case, dim) = lights["light 1000"], lights["light 10"]
     alone = render_for(case)
     assert dim.film == bright.film

@@ -94,8 +94,9 @@ def test_study_notes_reach_result_summary_page_and_json(tmp_path: Path) -> None:
     code, message, err = command(f"study {toml} --out {tmp_path / 'out'} --jobs 1 --json")
     assert code == 0
     summary = json.loads(message)
-    bright, dark = summary["notes"]
+    bright, is_open, dark = summary["notes"]
     assert "of the ideal image is brighter than display white" in bright
+    assert "the interval is open" in is_open
     assert "the black level of 0 DN clips dark noise" in dark
     assert json.loads((tmp_path / "out/summary.json").read_text(encoding="utf-8"))["notes"] == summary["notes"]
     page = html.unescape((tmp_path / "out/report.html").read_text(encoding="utf-8"))
