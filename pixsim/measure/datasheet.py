@@ -399,8 +399,8 @@ def datasheet_settings(
     options = {"pixel": pixel or None, "exposure": exposure, "seed": seed}
     settings = run_settings(files, {name: value for name, value in options.items() if value is not None})
     imaging = Imaging.of(settings, Camera())
-    given = GivenSettings.of_setting(imaging, settings, not_taken=NOT_OF_SHEETS, makes_frames=False)
-    warn_of_settings_without_effect({"": [given]})
+    stated = GivenSettings.of_setting(imaging, settings, not_taken=NOT_OF_SHEETS, makes_frames=False)
+    warn_of_settings_without_effect({"": [stated]})
     return settings
 
 

@@ -14,9 +14,10 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal, NamedTuple, get_args, get_origin
+from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_origin
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError
@@ -87,11 +88,14 @@ def fields_of(table: str, record: type[Record], *but: str) -> tuple[str, ...]:
     return tuple(f"{table}.{name}" for name in record.model_fields if name not in but)
 
 
+RecordKind = TypeVar("RecordKind", bound=Record)
+
+
 class Default:
     """In place of a value, that a setting is left out."""
 
 
-def record_with(record: Record, path: Sequence[str], value: object) -> Record:
+def record_with(record: RecordKind, path: Sequence[str], value: object) -> RecordKind:
     """Return a record with another value of one of its fields, or of a record inside.
 
     value : `Default` leaves the field out, and a record inside with its last field
@@ -111,7 +115,7 @@ def imaging_with(imaging: Imaging, name: str, value: object) -> Imaging:
     table, *path = name.split(".")
     if table == "metric":
         options = record_with(imaging.metrics.options, path, value)
-        return imaging.changed(metrics=replace(imaging.metrics, options=options))  # type: ignore[arg-type]
+        return imaging.changed(metrics=replace(imaging.metrics, options=options))
     if table == "lens":
         table, path = "camera", [OF_ANY_LENS[path[0]]]
     imaging = imaging.changed(**{table: record_with(getattr(imaging, table), path, value)})
@@ -161,7 +165,7 @@ class SmallLight:
         rows = round(aspect * SAMPLES)
         scale = rows * sample_um / size_um[0], width_um / size_um[1]
 
-        header = {"camera": camera.model_dump()} if picture is None or "camera" in picture.header else {}
+        header: dict[str, Any] = {"camera": camera.model_dump()} if picture is None or "camera" in picture.header else {}
         if picture is not None and "diffraction" in picture.header:
             header["diffraction"] = picture.header["diffraction"]
         if picture is None:
@@ -172,7 +176,7 @@ class SmallLight:
         spectra = np.stack([600 / bands[0], bands[0] / 600])
         with_target, background = (np.stack(planes).astype(np.float32) for planes in _pictures(rows))
 
-        def light(planes: Array, brightness: float, white: Mapping[str, object]) -> SpectralImage:
+        def light(planes: NDArray[Any], brightness: float, white: dict[str, Any]) -> SpectralImage:
             return SpectralImage(*bands, sample_um, factors=(brightness * spectra, planes), header=header | white)
 
         unit = light(with_target, 1.0, {})
@@ -181,14 +185,16 @@ class SmallLight:
         lit = replace(small, light=light(with_target, brightness, {}))
         white = lit._white(lit.seen(imaging))
         entries = lit._white_entries(white, imaging.display)
-        pictures = {"light": light(with_target, brightness, entries), "background": light(background, brightness, entries)}
-        return replace(lit, **pictures, white=white)
+        shown = light(with_target, brightness, entries)
+        return replace(lit, light=shown, background=light(background, brightness, entries), white=white)
 
     def _brightness(self, imaging: Imaging) -> float:
         """Return by what the light is multiplied so that no pixel is full, and automatic exposures are long."""
         physics, exposure = imaging.readout, imaging.exposure
+        assert self.light.factors is not None
+        spectrum = self.light.factors[0].mean(axis=0)
         electrons = [
-            float((electrons_per_joule(channel, self.light) * self.light.factors[0].mean(axis=0)).sum())
+            float((electrons_per_joule(channel, self.light) * spectrum).sum())
             * collecting_area_um2(self.light, imaging.camera, channel)
             for channel in imaging.physics.channels
         ]
@@ -221,10 +227,10 @@ class SmallLight:
             white[radiance] = white[name] * rates[0] / rates[1]
         return white
 
-    def _white_entries(self, white: dict[str, float], display: Display) -> dict[str, object]:
+    def _white_entries(self, white: dict[str, float], display: Display) -> dict[str, Any]:
         """Return entries of a header: another white than a display may state, and what a white plate shows."""
         (name, value), *_ = white.items()
-        entries: dict[str, object] = {HEADER_OF_WHITE[name]: OTHER_WHITE * value}
+        entries: dict[str, Any] = {HEADER_OF_WHITE[name]: OTHER_WHITE * value}
         if display.white == "diffuser":
             weight = self.light.luminous_weight() if name == "white_cd_per_m2" else self.light.band_width_nm
             per_nm = np.full(weight.shape, value / weight.sum() / display.diffuser_reflectance)
@@ -659,9 +665,9 @@ def effect_notes(sensors: Mapping[str, Iterable[GivenSettings]]) -> list[str]:
     for name, labels in labels_of.items():
         names_of.setdefault(tuple(labels), []).append(name)
     notes = []
-    for labels, names in names_of.items():
-        text = f"{', '.join(names)} {'changes' if len(names) == 1 else 'change'} nothing here"
-        notes.append(text if len(labels) == len(sensors) else f"{', '.join(labels)}: {text}")
+    for having, together in names_of.items():
+        text = f"{', '.join(together)} {'changes' if len(together) == 1 else 'change'} nothing here"
+        notes.append(text if len(having) == len(sensors) else f"{', '.join(having)}: {text}")
     return notes
 
 
