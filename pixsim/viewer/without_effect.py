@@ -104,6 +104,9 @@ def record_with(record: RecordKind, path: Sequence[str], value: object) -> Recor
     """
     name, *inner = path
     fields = {other: getattr(record, other) for other in record.model_fields_set}
+    if value is Default and name not in fields:
+        return record
+
     if inner and not (value is Default and fields[name].model_fields_set == {*inner}):
         value = record_with(fields[name], inner, value)
     fields[name] = value

@@ -46,7 +46,7 @@ from pixsim.viewer.merging import merge
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
-from pixsim.viewer.without_effect import ROWS, GivenSettings, effect_notes
+from pixsim.viewer.without_effect import ROWS, Default, GivenSettings, effect_notes, record_with
 
 NOTHING = "nothing here"
 SIDE, SAMPLE_UM, WIDTH_NM = 24, 4.0, 40.0
@@ -552,3 +552,9 @@ def test_rows_name_settings_that_exist() -> None:
     known |= {f"metric.{name}.{field}" for name, options in METRIC_OPTIONS for field in type(options).model_fields}
     assert not {name for row in ROWS for name in row.settings} - known
     assert not {*NOT_OF_SHEETS, *NOT_TAKEN} - known
+
+
+def test_record_without_a_setting_of_a_file_is_the_same() -> None:
+    """As where a condition or a sensor's own file states the pixel, and the study does not."""
+    run = Run(seed=3)
+    assert record_with(run, ["pixel", "prnu"], Default) == run
