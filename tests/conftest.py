@@ -8,6 +8,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 # Before NumPy: threads make the small matrices of a fit several times slower, and the workers of a run share the cores.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -31,8 +32,11 @@ from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.locks import TEMPORARY
 from pixsim.sensor.readout import Frame
 from pixsim.studies.result import StudyResult
+from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.development import Development
 from pixsim.viewer.merging import merge
+from pixsim.viewer.score import FrameScore
+from pixsim.viewer.without_effect import STREAM
 
 gc.disable()  # until tests are collected, of which all stay
 
@@ -110,8 +114,20 @@ def tiny_result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
 
 @pytest.fixture
 def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[Frame]:
-    """Frames scored in this process so far; none of them measures a film that is coarse."""
+    """Frames scored in this process so far, without those of the small light; none of them measures a film that is coarse."""
     frames: list[Frame] = []
-    view = Development.score
-    monkeypatch.setattr(Development, "score", lambda self, frame: frames.append(frame) or view(self, frame))
+    of_small_light: list[Frame] = []
+    capture, view = ImagingChain.capture, Development.score
+
+    def captured(chain: ImagingChain, *key: object, **more: Any) -> Frame:
+        frame = capture(chain, *key, **more)
+        of_small_light.extend([frame] * (key == STREAM))
+        return frame
+
+    def scored(development: Development, frame: Frame) -> FrameScore:
+        frames.extend([frame] * all(frame is not other for other in of_small_light))
+        return view(development, frame)
+
+    monkeypatch.setattr(ImagingChain, "capture", captured)
+    monkeypatch.setattr(Development, "score", scored)
     return frames
