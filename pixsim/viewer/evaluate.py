@@ -162,6 +162,7 @@ def evaluate(
 
     Raises PixsimError if the pitch is too small or larger than the die, if white has no luminance, or the sensor no response to it.
 
+    >>> import numpy as np
     >>> light = SpectralImage([550.0], 10.0, 84.8, data=np.full((32, 32, 1), 1e-3), header={"diffraction": False})
     >>> pixel, display = Pixel(pitch_um=84.8, prnu=0), Display(white_cd_per_m2=1000, dots=32)
     >>> score = evaluate(light, Camera(), pixel, display=display)
