@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from pixsim.base.errors import PixsimError
 from pixsim.base.records import Record
+from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.studies.cases import Case
 from pixsim.studies.sampling import imaging_of, study_pitches_um
 from pixsim.studies.series import metrics_of
@@ -62,6 +63,10 @@ class GivenSizes(GivenSettings):
             return True
 
 
+# A study of a data sheet takes it from the sheet's pitch; the range and the display that follow from it are stated in `complete`.
+OF_THE_SHEET = "pitch.own_um"
+
+
 def settings_of_technology(given: Case[Study], complete: Case[Study], technology: str) -> GivenSizes:
     """Return the settings of one technology in one case.
 
@@ -83,4 +88,5 @@ def settings_of_technology(given: Case[Study], complete: Case[Study], technology
         imaging = imaging_of(complete.settings, complete.camera, technology, pitch_um)
         ends.append(GivenSettings.of(imaging.changed(metrics=metrics_of(study)), tables, facts))
     largest, smallest = ends
-    return GivenSizes(largest.imaging, largest.names, facts, study, technology, smallest)
+    names = tuple(name for name in largest.names if technology != NO_TECHNOLOGY or name != OF_THE_SHEET)
+    return GivenSizes(largest.imaging, names, facts, study, technology, smallest)

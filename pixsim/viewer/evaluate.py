@@ -181,8 +181,8 @@ def evaluate(
         metrics=MetricRequest(metrics_named(metrics), metric or METRIC_OPTIONS),
         full=full,
     )
-    warn_of_records(imaging, irradiance)
     chain = reviewed_chain(imaging, SceneLight(irradiance, without), is_recent=True)
+    warn_of_records(imaging, irradiance)
     missing: dict[str, str] = {}
     score = evaluate_frame(chain, ("evaluate", seed), missing)
     for reason in missing.values():

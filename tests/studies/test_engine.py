@@ -196,11 +196,14 @@ def test_study_two_workers_same_bytes(toml: Path, expected: bytes, tmp_path: Pat
 
 
 def test_study_killed_process_is_resumed(toml: Path, expected: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Killed in the second sensor of the eighth task, of another light than the first; two processes go on, by the rows of both."""
+    """Killed in the second sensor of the eighth task, of another light than the first; two processes go on, by the rows of both.
+
+    Two of the frames that are counted are of the small light on which settings are tried.
+    """
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "cache"))
     out = tmp_path / "out"
     words = ["study", str(toml), "--out", str(out), "--jobs", "1"]
-    ended = Forked(signalled(signal.SIGKILL, 16), words, tmp_path, dict(os.environ))
+    ended = Forked(signalled(signal.SIGKILL, 18), words, tmp_path, dict(os.environ))
     _, err = ended.communicate()
     assert ended.wait() == -signal.SIGKILL, err
     finished = (out / "results.csv").read_bytes().splitlines()[1:]
