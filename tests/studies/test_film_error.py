@@ -70,7 +70,7 @@ def missed(cases: dict[str, tuple[float, float]], usual: float) -> dict[str, tup
 @pytest.mark.longest
 @pytest.mark.slow
 def test_stated_error_holds_for_pictures_that_set_it() -> None:
-    """Ten scenes on films of 256, 512 and 1024, and textures; zone plates and a fabric on coarse films are missed."""
+    """Ten scenes on films of 256, 512 and 1024, and textures. On one sample a dot or less, five films are missed."""
     cases, widths = {}, (256, 512, 1024)
     for scene in SCENES:
         found = stated_and_true(light(scene()), [WIDTH // width for width in widths], CAMERA, PIXEL, Display(dots=512))

@@ -284,7 +284,7 @@ def acts(reference: dict[str, Any], base: Outcome, name: str, value: Any) -> boo
     return mentioned or (outcome.score is not None and not outcome.equals(base))
 
 
-# The small light is scaled with the die, where chief rays are tabulated in mm: its die acts, and that of the picture does not.
+# Without it the default die is beyond the table of chief rays, and refused. So it is needed, though the picture has its size.
 KNOWN_SILENT = {"chief rays": ["camera.die_mm"]}
 
 
