@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import re
 import resource
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -265,10 +265,15 @@ def running_cluster(folder: Path) -> Iterator[str]:
             stack.callback(process.wait, HANG_S)
             stack.callback(process.kill)
 
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            port = free.getsockname()[1]
-        start("scheduler", "--port", str(port))
-        address = f"tcp://127.0.0.1:{port}"  # workers and clients try until it is there
+        # The scheduler chooses its port: one that was free a moment ago may be another test's by now.
+        written = folder / "scheduler.json"
+        start("scheduler", "--port", "0", "--scheduler-file", str(written))
+        address, until = "", time.monotonic() + HANG_S
+        while not address and time.monotonic() < until:
+            time.sleep(0.05)
+            with contextlib.suppress(FileNotFoundError, json.JSONDecodeError):  # not there, or half of it
+                address = json.loads(written.read_text(encoding="utf-8"))["address"]
+        assert address, f"no scheduler after {HANG_S} s"
         for number in range(2):
             own = str(folder / f"worker-{number}")
             words = ["--nthreads", "1", "--no-nanny", "--local-directory", own]
