@@ -37,10 +37,11 @@ if TYPE_CHECKING:
     from pixsim.sensor.readout import Frame as Frame, capture as capture, make_sensor as make_sensor
     from pixsim.sensor.technology import Technology as Technology, load_technology as load_technology
     from pixsim.studies.compare import compare as compare
-    from pixsim.studies.many_sensors import sweep as sweep
     from pixsim.studies.run import run as run
+    from pixsim.studies.settings import Study as Study
     from pixsim.studies.study import study as study
-    from pixsim.studies.study_settings import Study as Study
+    from pixsim.studies.sweep import sweep as sweep
+    from pixsim.studies.two_results import compare_results as compare_results
     from pixsim.verification.ladder import accuracy as accuracy
     from pixsim.viewer import display as display, judges as judges, scielab as scielab
     from pixsim.viewer.colour_matrix import colour_matrix as colour_matrix
@@ -62,7 +63,7 @@ _NAMES_OF = {
     "sensor.exposure": "Exposure",
     "sensor.motion_options": "Motion",
     "sensor.pixel_options": "Pixel",
-    "studies.study_settings": "Study",
+    "studies.settings": "Study",
     "viewer.develop_options": "Develop",
     "viewer.display_options": "Display",
     "viewer.settings_file": "load_pixel",
@@ -89,9 +90,10 @@ _NAMES_OF = {
     "viewer.other_pictures": "score_pictures",
     "studies.study": "study",
     "studies.compare": "compare",
+    "studies.two_results": "compare_results",
     "report.write": "write_report",
     "studies.run": "run",
-    "studies.many_sensors": "sweep",
+    "studies.sweep": "sweep",
     "explorer.exploring": "explore",
     "verification.ladder": "accuracy",
 }

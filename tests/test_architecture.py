@@ -48,8 +48,8 @@ SETTINGS = {
     "sensor.motion_options", "sensor.exposure",
     "sensor.labels", "sensor.number", "sensor.pixel_options", "sensor.quantities", "sensor.spread", "sensor.stack_options",
     "sensor.unit_slips",
-    "studies.axis", "studies.case_folders", "studies.condition", "studies.pitch_range", "studies.study_layers",
-    "studies.study_settings", "studies.varied", "viewer.develop_options", "viewer.display_options", "viewer.merging",
+    "studies.axes", "studies.settings", "studies.layers",
+    "viewer.develop_options", "viewer.display_options", "viewer.merging",
     "viewer.metric_options", "viewer.setting", "viewer.settings_file",
 }  # fmt: skip
 # Package -> packages of which it knows the settings, and nothing that computes.
@@ -138,7 +138,7 @@ PARTS_OF_IMAGING = {
     "Technology": "pixel", "Exposure": "exposure", "Motion": "motion", "Correction": "correction", "Develop": "develop",
     "Display": "display", "MetricOptions": "metrics", "MetricRequest": "metrics",
 }  # fmt: skip
-BUILD_IMAGING = {"viewer.evaluate.evaluate", "studies.many_sensors.sweep"}  # public: the records are their arguments
+BUILD_IMAGING = {"viewer.evaluate.evaluate", "studies.sweep.sweep"}  # public: the records are their arguments
 
 
 def test_functions_between_light_and_score_take_imaging() -> None:

@@ -139,9 +139,9 @@ OWN: dict[str, Any] = {
     "pixsim.edge_response.picture": lambda: EDGE, "pixsim.sfr.image": "edge.npy",
     "pixsim.sensor.photodiode.charge_from_total_e.integration_s": np.full(3, 0.1),
     "pixsim.read_frame.path": "raw.npz", "pixsim.Technology.with_numbers.values": {"prnu": 0.01},
-    "pixsim.Study.options_of.technology": "0.35um", "pixsim.studies.pixels.pixel_of.technology": "0.35um",
-    "pixsim.studies.pixels.physics_of.technology": "0.35um", "pixsim.studies.pixels.photodiode_widths_um.technology": "0.35um",
-    "pixsim.studies.pixels.photodiode_widths_um.pitch_um": np.array([5.0, 6.0]), "pixsim.load_scene.scene": "flat",
+    "pixsim.Study.options_of.technology": "0.35um", "pixsim.studies.sizes.pixel_of.technology": "0.35um",
+    "pixsim.studies.sizes.physics_of.technology": "0.35um", "pixsim.studies.sizes.photodiode_widths_um.technology": "0.35um",
+    "pixsim.studies.sizes.photodiode_widths_um.pitch_um": np.array([5.0, 6.0]), "pixsim.load_scene.scene": "flat",
     "pixsim.load_pixel.file": "imx477", "pixsim.sensor.pixel.absorbed_efficiency.quantum_efficiency": 0.5,
     "pixsim.sensor.pixel.absorbed_efficiency.at_nm": 525.0, "pixsim.sensor.pixel.absorbed_efficiency.depth_um": 5.0,
     "pixsim.load_scene.sensor": None, "pixsim.viewer.display.average_axis.edges_um": np.array([0.0, 100.0, 200.0]),
@@ -169,7 +169,7 @@ ALWAYS = {"pixsim.SpectralImage": ("data",)} | dict.fromkeys(
 INSTANCES: dict[str, Callable[[], Any]] = {
     "Camera": lambda: CAMERA, "CameraOptions": CameraOptions, "Study": lambda: STUDY, "Technology": lambda: TECHNOLOGY,
     "SpectralImage": lambda: LIGHT, "PixelPhysics": lambda: PHYSICS, "EdgeResponse": edge, "Scene": scene,
-    **dict.fromkeys(("Score", "FrameScore"), score), "SensorTable": sensor_table,
+    **dict.fromkeys(("Score", "FrameScore"), score), "Table": sensor_table,
     "Exposure": lambda: EXPOSURE, "Motion": lambda: pixsim.Motion(image_um_per_s=(100.0, 0.0)),
     "Plan": plan, "Frame": lambda: FRAME, "Sensor": lambda: SENSOR, "RawFrame": lambda: pixsim.read_frame,
     "Lens": cache(lambda: pixsim.load_lens("cooke_triplet")),
@@ -177,7 +177,6 @@ INSTANCES: dict[str, Callable[[], Any]] = {
 # Built by pixsim only, from parts that are not public, or called above with a whole study.
 NOT_CALLED = {
     "pixsim.compare": "its own tests", "pixsim.studies.comparison.Comparison": "a whole comparison",
-    "pixsim.studies.comparison_cases.ComparedCases": "whole comparisons",
     "pixsim.study": "its own tests below", "pixsim.write_report": "its result is a whole study",
     "pixsim.lens": "its own tests below", "pixsim.measure.lens": "a whole trace",
     "pixsim.measure.sfr.EdgeResponse.write": "it writes a folder",
@@ -185,7 +184,7 @@ NOT_CALLED = {
     "pixsim.datasheet": "its own tests below", "pixsim.measure.datasheet": "a whole measurement",
     "pixsim.explore": "it opens a page", "pixsim.run": "its own tests below", "pixsim.studies.run.RunResult": "a whole run",
     "pixsim.studies.result.StudyResult": "a whole study", "pixsim.studies.result.Curve": "of a whole study",
-    "pixsim.PixsimError": "takes any text", "pixsim.studies.many_sensors.SensorTable": "the rows of a sweep",
+    "pixsim.PixsimError": "takes any text", "pixsim.studies.table.Table": "the rows of a sweep",
 }  # fmt: skip
 ANY_VALUE = {"object", "Any"}
 SMALL_RECORDS: dict[str, dict[str, Any]] = {
@@ -374,8 +373,7 @@ def test_any_argument_of_a_long_function_gives_an_error_that_names_it(
 @pytest.mark.parametrize("label", JUNK)
 def test_write_report_without_a_result_raises(label: str, tmp_path: Path) -> None:
     with pytest.raises(
-        PixsimError,
-        match=r"result: got .*; allowed: a RunResult, or a StudyResult, or a Comparison, or a ComparedCases, or a LensData",
+        PixsimError, match=r"result: got .*; allowed: a RunResult, or a StudyResult, or a Comparison, or a LensData"
     ):
         pixsim.write_report(JUNK[label], tmp_path / "out")
 

@@ -24,11 +24,11 @@ from pixsim.report.study import settings as settings_tables
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel_options import Pixel, is_data_sheet
 from pixsim.sensor.unit_slips import unit_slips
-from pixsim.studies.lineup import sensor_layer
-from pixsim.studies.pixels import technology_of
-from pixsim.studies.preparation import check_technologies, prepare
-from pixsim.studies.study_file import load_study
-from pixsim.studies.study_settings import Study
+from pixsim.studies.files import load_study
+from pixsim.studies.prepare import check_technologies, prepare
+from pixsim.studies.sensors import sensor_layer
+from pixsim.studies.settings import Study
+from pixsim.studies.sizes import technology_of
 from pixsim.viewer.settings_file import packaged_sensors, run_settings, settings_layer
 
 SHEET: dict[str, Any] = {

@@ -43,8 +43,8 @@ from pixsim.measure.sfr import read_edge_picture
 from pixsim.scene.scene import load_scene
 from pixsim.sensor.technology import load_technology
 from pixsim.show import figures
-from pixsim.studies.results_file import COLUMNS, ResultsFile
-from pixsim.studies.study_file import load_study
+from pixsim.studies.files import load_study
+from pixsim.studies.store import COLUMNS, Store
 
 DATA = Path(pixsim.__file__).parent / "data"
 FEW = {"shape": (60, 60), "stack_frames": 8}  # size of a data sheet's experiment whose numbers do not matter
@@ -555,16 +555,16 @@ def test_results_file_damaged_rows_are_dropped(tmp_path, content):
         return row["key"] == "key1" and float(row["pitch_um"]) == float(row["repeat"]) == 1.5
 
     with in_time():
-        assert ResultsFile(tmp_path / "results.csv").resume(is_needed) == {}
+        assert Store(tmp_path / "results.csv").resume(is_needed) == []
     rows(tmp_path / "results.csv")
-    assert list(ResultsFile(tmp_path / "results.csv").resume(is_needed)) == ["key1"]
+    assert list(Store(tmp_path / "results.csv").resume(is_needed)) == ["key1"]
 
 
 def test_results_file_too_large_raises(tmp_path):
     with (tmp_path / "results.csv").open("wb") as file:
         file.truncate(1 << 32)
     with rejected("results.csv"):
-        ResultsFile(tmp_path / "results.csv").read()
+        Store(tmp_path / "results.csv").read_keys()
 
 
 @pytest.mark.filterwarnings("ignore:cache")

@@ -35,7 +35,7 @@ from pixsim.base.locks import LOCK, PARTIAL_FILE, PARTIAL_FOLDER, TEMPORARY, loc
 from pixsim.cli import process as cli_process
 from pixsim.cli.commands import said_what_is_kept
 from pixsim.scene.charts import write_chart
-from pixsim.studies.results_file import COLUMNS, ResultsFile
+from pixsim.studies.store import COLUMNS, Store
 
 SMALL = "--resolution 64 --display.dots 64"
 LINES = {
@@ -698,12 +698,12 @@ def test_scheduler_without_port_says_so(tmp_path: Path) -> None:
 
 
 def test_said_what_is_kept_counts_evaluations(tmp_path: Path) -> None:
-    row, results = dict.fromkeys(COLUMNS, "1"), ResultsFile(tmp_path / "results.csv")
+    row, results = dict.fromkeys(COLUMNS, "1"), Store(tmp_path / "results.csv")
     kept = f"3 finished evaluations are kept in '{tmp_path}', and the same command continues from them"
     with pytest.raises(UnwritableError, match=rf"^a full disk\. {re.escape(kept)}\.$"), said_what_is_kept(tmp_path):
-        raise UnwritableError(results.write([row | {"key": key} for key in "abc"]) or "a full disk.")
+        raise UnwritableError(results.write([(row | {"key": key}).values() for key in "abc"]) or "a full disk.")
     with pytest.raises(KeyboardInterrupt, match=f"^{re.escape(kept)}$"), said_what_is_kept(tmp_path):
-        raise KeyboardInterrupt(results.append([]) or os.utime(results.path, ns=(0, 0)))
+        raise KeyboardInterrupt(results.add([]) or os.utime(results.path, ns=(0, 0)))
     # Rows that the study has not rewritten may be of other settings.
     with pytest.raises(KeyboardInterrupt, match=r"^$"), said_what_is_kept(tmp_path):
         raise KeyboardInterrupt

@@ -21,7 +21,7 @@ from pixsim.optics.exchange import read_irradiance
 from pixsim.optics.glass import read_catalogue
 from pixsim.scene.guard.meshes import inspect_mesh
 from pixsim.scene.scene import load_scene
-from pixsim.studies.study_file import load_study
+from pixsim.studies.files import load_study
 
 MOST_CPU_S = 10.0  # each takes up to 2 s on the machine of development; those that are quadratic take minutes
 LONGEST_MESSAGE = 1500

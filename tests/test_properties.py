@@ -35,7 +35,7 @@ from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import MISMATCH, STANDS_FOR, DarkCurrent, Pixel, PixelOptions, excluded_by
 from pixsim.sensor.readout import Frame, capture_from_rates, sample_sensor
 from pixsim.sensor.technology import Junction, Technology, load_technology
-from pixsim.studies.pitch_range import PitchRange
+from pixsim.studies.settings import PitchRange
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.setting import Effort
 

@@ -10,7 +10,6 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -27,12 +26,13 @@ from pixsim.cli import options as common
 from pixsim.cli.options import DEFAULT_OUT, HELP, HELP_ALL, Json, Out, SceneOptions, answer, app, field_option, given, say, stages
 from pixsim.cli.process import interruption
 from pixsim.optics.lens_options import LensOptions
-from pixsim.studies.study_layers import study_layers
+from pixsim.studies.layers import study_layers
 from pixsim.viewer.merging import merged
 from pixsim.viewer.setting import Run
 
 RawFormat = Literal["tiff", "png", "npz"]
 RAW_FORMATS = get_args(RawFormat)
+TWO_FOLDERS = 2  # of results that are compared
 SCENE_HELP = (
     "An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, target, macbeth, line_lamp, still_life, "
     "cornell_box, yard."
@@ -118,6 +118,19 @@ def check_current_folder() -> None:
 Units = Annotated[
     str | None, Parameter(help="Units of an image whose file does not state them, such as W.m^-2.nm^-1.", metavar="UNIT")
 ]
+AxisOption = Annotated[
+    list[str] | None,
+    common.SEVERAL,
+    Parameter(
+        help="Vary a setting beside the pixel size: NAME=v1,v2,… or NAME=from:to:count[:log]. NAME is an axis of the study or "
+        "a dotted setting, as camera.f_number; settings joined by + take each value together. Values with labels are picked by "
+        "them. Repeatable.",
+        metavar="NAME=VALUES",
+    ),
+]
+SobolOption = Annotated[
+    int | None, Parameter(help="In place of --uncertainty: total indices, which take N × (inputs + 2) sensor types.", metavar="N")
+]
 Scheduler = Annotated[
     str | None, Parameter(help="Address of a Dask scheduler (tcp://host:8786); its workers replace --jobs.", metavar="ADDRESS")
 ]
@@ -188,8 +201,7 @@ def run(
     from pixsim.report.kept import kept_run
     from pixsim.report.run import RunFiles, digest_of_run, run_document, run_page
     from pixsim.show.render import text, write
-    from pixsim.studies.run import light_run, prepare, score_run
-    from pixsim.studies.run_arrays import check_raw
+    from pixsim.studies.run import check_raw, light_run, prepare, score_run
 
     own = {"seed": seed, "tolerance_e": tolerance_e, "noise_budget": noise_budget}
     chosen = options.settings(effort, display=display, **own, **vars(judges))
@@ -279,7 +291,7 @@ def plan(
     """
     import_less()
     from pixsim.report.outline import plan_document
-    from pixsim.studies.preparation import loaded_scene, plan_of
+    from pixsim.studies.prepare import loaded_scene, plan_of
 
     chosen = options.settings(tolerance_e=tolerance_e)
     loaded = loaded_scene(scene, chosen.scene, chosen.resolution, chosen.display, variant=variant, sensor=sensor)
@@ -319,16 +331,7 @@ def study(
     ] = False,
     jobs: Annotated[int | None, Parameter(help="Number of processes [default: one per core]; results do not depend on it.")] = None,
     scheduler: Scheduler = None,
-    axis: Annotated[
-        list[str] | None,
-        common.SEVERAL,
-        Parameter(
-            help="Vary a setting beside the pixel size: NAME=v1,v2,… or NAME=from:to:count[:log]. NAME is an axis of the study or "
-            "a dotted setting, as camera.f_number; settings joined by + take each value together. Values with labels are picked by "
-            "them. Repeatable.",
-            metavar="NAME=VALUES",
-        ),
-    ] = None,
+    axis: AxisOption = None,
     uncertainty: Annotated[
         int | None,
         Parameter(
@@ -337,10 +340,7 @@ def study(
             metavar="N",
         ),
     ] = None,
-    sobol: Annotated[
-        int | None,
-        Parameter(help="In place of --uncertainty: total indices, which take N × (inputs + 2) sensor types.", metavar="N"),
-    ] = None,
+    sobol: SobolOption = None,
     smaller_than: Annotated[
         list[float] | None,
         common.SEVERAL,
@@ -378,15 +378,15 @@ def study(
     from pixsim.report.study import report_files, study_document
     from pixsim.report.uncertainty import uncertainty_files
     from pixsim.show.render import write
-    from pixsim.studies.cases import MANY_CASES, MAX_CASES, check_number, number_of_cases
-    from pixsim.studies.conditions import condition_regrets
     from pixsim.studies.cost import fitting_jobs
+    from pixsim.studies.design import MANY_CASES, MAX_CASES, check_number, number_of_cases
+    from pixsim.studies.drawn_types import asked_of, check_types
     from pixsim.studies.engine import Workers, workers_here
-    from pixsim.studies.preparation import prepare
+    from pixsim.studies.files import checked_study, config_layers, read_study, uncertainty_of
+    from pixsim.studies.prepare import prepare
+    from pixsim.studies.regret import condition_regrets
     from pixsim.studies.result import CasesResult
-    from pixsim.studies.sensor_types import asked_of, check_types
     from pixsim.studies.study import run_prepared
-    from pixsim.studies.study_file import checked_study, config_layers, read_study, uncertainty_of
 
     stated = read_study(study, quick)
     chosen = {"display": display, "pitch": pitch, "seed": seed, "refine": refine, "tolerance_e": tolerance_e}
@@ -407,11 +407,11 @@ def study(
         job = replace(prepare(plan, variant), uncertainty=spreads)
         asked, types = asked_of(uncertainty, sobol, smaller_than or (), spreads), 0
         if asked is not None:
-            types, evaluations = check_types(job.study, [case.settings for case in job.cases], asked, yes or dry_run)
+            types, evaluations = check_types(job.study, [case.settings for case in job.combinations], asked, yes or dry_run)
         if dry_run:
             answer(outline_document("study", study_outline(job, jobs, types), folder), json)
             return
-        check_number(len(job.cases), job.evaluations, yes)
+        check_number(len(job.combinations), job.evaluations, yes)
         names = (axes_files if job.study.has_cases else report_files)(job.study)
         if asked is not None:
             common.verbosity.note(f"{types} sensor types, at most {evaluations} evaluations")
@@ -445,7 +445,7 @@ def said_what_is_kept(folder: Path) -> Iterator[None]:
     A study rewrites a file of rows when it begins to evaluate, and leaves its own rows only. Those of a file that it has not
     rewritten yet may be of other settings: they are not counted.
     """
-    from pixsim.studies.results_file import ResultsFile
+    from pixsim.studies.store import Store
 
     def files() -> dict[Path, int]:
         path = folder / "results.csv"
@@ -455,7 +455,7 @@ def said_what_is_kept(folder: Path) -> Iterator[None]:
     try:
         yield
     except (KeyboardInterrupt, UnwritableError) as error:
-        kept = sum(len(ResultsFile(path).read()) for path, time_ns in files().items() if before.get(path) != time_ns)
+        kept = sum(len(Store(path).read_keys()) for path, time_ns in files().items() if before.get(path) != time_ns)
         words = [f"{kept} finished evaluations are kept in '{folder}', and the same command continues from them"] if kept else []
         if isinstance(error, KeyboardInterrupt):
             raise KeyboardInterrupt(*words) from None
@@ -468,7 +468,7 @@ def compare(
         str,
         Parameter(
             help="Two or more sensors: TOML files with a table [pixel], such as data sheets; files of technologies, or names of "
-            "packaged ones. The first is the reference.",
+            "packaged ones. The first is the reference. Or two folders of results of the same light, whose frames are paired.",
             completer=common.complete_technology,
             metavar="SENSOR",
         ),
@@ -487,12 +487,12 @@ def compare(
         ),
     ] = None,
     match: Annotated[
-        Literal["view", "lens", "own"],
+        Literal["view", "lens", "own"] | None,
         Parameter(
             help="Cameras: the field of view, f-number and object distance of the first file's; its focal length; or each file's "
-            "own. The central field that all have in common is compared."
+            "own. The central field that all have in common is compared [default: view, and whether lens turns the answer]."
         ),
-    ] = "view",
+    ] = None,
     repeats: Annotated[int, Parameter(help="Pairs of frames, with the same seeds.")] = 8,
     uncertainty: Annotated[
         int | None,
@@ -502,14 +502,14 @@ def compare(
             metavar="N",
         ),
     ] = None,
+    sobol: SobolOption = None,
+    axis: AxisOption = None,
     options: SceneOptions = common.NO_OPTIONS,
     display: common.DisplayTable = None,
     judges: common.Judges = common.NO_JUDGES,
     seed: common.Seed = None,
     tolerance_e: common.Tolerance = None,
-    render_noise: Annotated[str | None, common.field_option(Run, "render_noise")] = None,
-    resolution: Annotated[str | None, common.field_option(Run, "resolution")] = None,
-    window_mm: Annotated[str | None, common.field_option(Run, "window_mm"), Parameter(name="--window")] = None,
+    effort: common.EffortOptions = common.NO_EFFORT,
     sensor: common.SensorId = None,
     variant: common.Variant = None,
     jobs: Annotated[int | None, Parameter(help="Number of processes [default: one per core]; results do not depend on it.")] = None,
@@ -528,29 +528,36 @@ def compare(
 
     Example: pixsim compare a.toml b.toml --uncertainty 64
 
+    Example: pixsim compare pixsim-out/first pixsim-out/second
+
     Options of cameras, pixels, exposures and displays, and --config, hold for all sensors. Writes compare.json, pictures,
     settings.toml, the settings of each sensor, and report.html.
     """
     import_less()
-    from pixsim.report.compare import (
-        cases_document,
-        check_output,
-        comparison_document,
-        comparison_outline_document,
-        comparison_page,
-    )
+    if len(sensors) == TWO_FOLDERS and all(Path(path).is_dir() for path in sensors):
+        from pixsim.show.document import Document
+        from pixsim.studies.two_results import compare_results
+
+        compared = compare_results(*sensors)
+        title, facts = " against ".join(compared.names), tuple(compared.facts())
+        document = Document("compare", "two results", title, compared.as_dict(), answers=compared.answers(), lead=facts)
+        answer(document, json)
+        return
+    from pixsim.report.compare import check_output, comparison_document, comparison_outline_document, comparison_page
     from pixsim.show.render import write
     from pixsim.studies.compare import run_prepared
-    from pixsim.studies.comparison_cases import ComparedCases, prepare_cases
-    from pixsim.studies.lineup import prepare
+    from pixsim.studies.files import read_study
+    from pixsim.studies.sensors import prepare
 
-    shared: dict[str, Any] = {"display": display, "seed": seed, "tolerance_e": tolerance_e, "render_noise": render_noise}
-    tables = options.tables(**shared, resolution=resolution, window_mm=window_mm, **vars(judges))
+    tables = options.tables(effort, display=display, seed=seed, tolerance_e=tolerance_e, **vars(judges))
+    if axis:
+        known_axes = [] if study is None else merged(read_study(study)).get("axis", [])
+        tables["axis"] = common.axes_of(axis, known_axes)
     with collected_notes() as notes:
-        prepared_by = partial(
-            prepare,
+        job = prepare(
             sensors,
             scene,
+            study=study,
             match=match,
             repeats=repeats,
             config=options.config or [],
@@ -558,27 +565,19 @@ def compare(
             sensor=sensor,
             variant=variant,
             uncertainty=uncertainty,
+            sobol=sobol,
         )
-        axes, cases, prepared = prepare_cases(study, prepared_by)
-        folder = out or DEFAULT_OUT / "-".join(each.name for each in prepared[0].shown.cases)
-        places = list(zip(prepared, [folder / case.folder for case in cases] or [folder], strict=True))
+        folder = out or DEFAULT_OUT / "-".join(job.names)
         if dry_run:
-            answer(comparison_outline_document(places, bool(cases)), json)
+            answer(comparison_outline_document(job, folder), json)
             return
-        for each, at in places:
-            check_output(each, at)
+        check_output(job, folder)
         seconds: dict[str, float] = {}
-        results = []
         with output_folder(folder), stages(seconds) as stage:  # an invalid folder fails before the renders
-            for each, at in places:
-                results.append(run_prepared(each, jobs=jobs, scheduler=scheduler, progress=stage, out=at))
-                stage("report")
-                report = write(comparison_page(results[-1], at), at, {"seconds": seconds})
-            if cases:
-                document = cases_document(ComparedCases(axes, tuple(zip(cases, results, strict=True))))
-                report = write(document, folder, {"seconds": seconds})
-            else:  # other notes are on stderr
-                document = comparison_document(results[0], notes)
+            result = run_prepared(job, jobs=jobs, scheduler=scheduler, progress=stage, out=folder)
+            stage("report")
+            report = write(comparison_page(result, folder), folder, {"seconds": seconds})
+            document = comparison_document(result, notes)  # other notes are on stderr
     answer(document, json, f"report: {report}")
 
 

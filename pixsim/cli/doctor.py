@@ -26,7 +26,7 @@ from pixsim.base.version import VERSION
 from pixsim.scene.variants import graphics, variant
 from pixsim.scene.variants.trial import Trial, attempt, picture_fault
 from pixsim.scene.variants.variant import CUDA, LLVM, SCALAR
-from pixsim.show.document import Document, Table
+from pixsim.show.document import Document, DocumentTable
 
 MODULES = {"colour-science": "colour", "openexr": "OpenEXR", "pillow": "PIL"}  # import names that differ from package names
 
@@ -148,7 +148,7 @@ def doctor_document(findings: Sequence[Diagnosis]) -> Document:
     verdict = "pixsim does not work on this machine" if problems else "renders work on this machine"
     counts = ", ".join(f"{number} {what}{'' if number == 1 else 's'}" for number, what in ((problems, "problem"), (notes, "note")))
     data = {"ok": not problems, "findings": [asdict(each) for each in findings]}
-    return Document("doctor", "check", verdict, data, (Table("findings", (), rows, words=None), "", f"{verdict}: {counts}"))
+    return Document("doctor", "check", verdict, data, (DocumentTable("findings", (), rows, words=None), "", f"{verdict}: {counts}"))
 
 
 def _software(required: dict[str, str], imports: Trial) -> Iterator[Diagnosis]:

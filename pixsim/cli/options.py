@@ -31,7 +31,7 @@ from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY, NUMBERS, Pixel
-from pixsim.studies.pitch_range import PitchRange
+from pixsim.studies.settings import PitchRange
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.metric_options import Detectability, MetricOptions

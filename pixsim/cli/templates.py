@@ -14,7 +14,7 @@ from pixsim.base.units import unit_of
 from pixsim.optics.camera import Camera
 from pixsim.sensor.pixel_options import DATA_SHEET, NUMBERS
 from pixsim.sensor.spread import MAY_BE_UNCERTAIN, Spread
-from pixsim.studies.study_settings import Study
+from pixsim.studies.settings import Study
 from pixsim.viewer.setting import Run
 
 KINDS: dict[str, type[Record]] = {"sensor": Run, "study": Study}

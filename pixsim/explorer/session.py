@@ -193,7 +193,7 @@ class Session:
 
     def _light_key(self, job: RunJob) -> str:
         """Return what light must have in common to serve for a first picture: all but the accuracy that each pixel asks for."""
-        bands = [] if job.cases[0].picture else job.demand.plan.bands.edges_nm.tolist()
+        bands = [] if job.cases[0].picture else job.request.plan.bands.edges_nm.tolist()
         return content_hash([job.settings.model_dump(mode="json", include=LIGHT), job.camera.model_dump(mode="json"), bands])
 
     def _kept(self, job: RunJob) -> LitRun | None:
@@ -201,8 +201,8 @@ class Session:
         case, key = job.cases[0], self._light_key(job)
         if case.picture is not None and key not in self._lights:
             self._keep(LitRun(job, case.picture))
-        elif key not in self._lights and job.demand.plan.exact:
-            self._keep(LitRun(job, job.demand.render(job.demand.first, job.demand.plan)[0], None, job.demand.plan))
+        elif key not in self._lights and job.request.plan.exact:
+            self._keep(LitRun(job, job.request.render(job.request.first, job.request.plan)[0], None, job.request.plan))
         if key not in self._lights:
             return None
         settings = case.settings.model_copy(update={"metrics": (DELTA_E.name,)})

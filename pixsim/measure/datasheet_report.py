@@ -15,7 +15,7 @@ from pixsim.measure.estimators import LINEARITY_SHARES, SENSITIVITY_SHARE, strai
 from pixsim.sensor.labels import file_label, label_of
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import BLACK_SIGMAS
-from pixsim.show.document import Answer, Document, Note, Plot, Section, Table, headline, made_with, pairs
+from pixsim.show.document import Answer, Document, DocumentTable, Note, Plot, Section, headline, made_with, pairs
 from pixsim.show.figures import COLOURS, LOOKS, Look, finish, new_figure, own_style, plain_powers
 from pixsim.show.pages import Plate, figure_files
 from pixsim.show.sentences import number, setting_value
@@ -294,7 +294,7 @@ def entry_rows(sheet: DataSheet) -> list[tuple[str, ...]]:
 def datasheet_document(sheet: DataSheet) -> Document:
     """Return the answer of `pixsim datasheet`: what was measured, and the true values."""
     pixel = sheet.experiment.physics.pixel
-    values = Table("measured and true values", COLUMNS, entry_rows(sheet), words=WORDS, stacks=True, wide=1)
+    values = DocumentTable("measured and true values", COLUMNS, entry_rows(sheet), words=WORDS, stacks=True, wide=1)
     makers = (
         *(photon_transfer_plate, responsivity_plate, snr_plate, linearity_plate, dark_current_plate),
         *(histogram_plate, spectrogram_plate, profile_plate),

@@ -15,18 +15,17 @@ from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.regret import REGRETS, regrets_plate
 from pixsim.report.study import agrees, document_of, plot_of, report_files, study_page, with_files_of_study
 from pixsim.report.wording import DELTA_E, rendered_words
-from pixsim.show.document import Block, Document, Fact, Link, Listed, Plot, Section, Table, made_with, pairs
+from pixsim.show.document import Block, Document, DocumentTable, Fact, Link, Listed, Plot, Section, made_with, pairs
 from pixsim.show.pages import Column, Figures, columns_of, figure_files, table_csv
-from pixsim.studies.cases import Case, cases_of
 from pixsim.studies.claims import verdicts
-from pixsim.studies.conditions import regrets_summary
+from pixsim.studies.design import Case, cases_of
 from pixsim.studies.engine import Workers
 from pixsim.studies.film_error import FilmError
-from pixsim.studies.noise_budgets import noise_budgets
-from pixsim.studies.regret import Regrets
+from pixsim.studies.merit import noise_budgets
+from pixsim.studies.regret import Regrets, regrets_summary
 from pixsim.studies.result import CasesResult, StudyResult
-from pixsim.studies.sentences import film_words, optima_table, optimum_line
-from pixsim.studies.study_settings import Study
+from pixsim.studies.sentences import film_words, optima_table, optimum_line, regrets_tables
+from pixsim.studies.settings import Study
 
 REGRETS_FILE = "regrets.csv"
 SHOWN_CASES = 4  # with a report of their own
@@ -152,7 +151,7 @@ def axes_page(
         Plot(partial(regrets_plate, found, pitch_um, f"{REGRETS}_{number}"))
         for number, found in enumerate(regrets[:SHOWN_REGRETS], 1)
     ]
-    tables = [table for found in regrets for table in found.tables()]
+    tables = [table for each in regrets for table in regrets_tables(each)]
     budgets, header = noise_budgets(result), result.irradiance.header
     best = (Link("The same with all digits (CSV)", "optima.csv"),)
     made = f"{result.counts}. Study seed {result.study.seed}; first render: {rendered_words(header)}."
@@ -200,5 +199,5 @@ def _claims(result: CasesResult) -> list[Block]:
         changed = f"{turned} of {result.counts.cases - 1}{f': {each.words}' if turned else ''}"
         rows.append((found.statement, found.given, found.found, agrees(found.agrees), changed))
     head = ("statement of the paper", "paper", "first case", "agrees", "cases that change the verdict")
-    table = Table("the paper's statements", head, rows, words=None, stacks=True)
+    table = DocumentTable("the paper's statements", head, rows, words=None, stacks=True)
     return [table] if rows else []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shlex
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -25,10 +26,10 @@ from pixsim.report.settings import record_rows, scene_rows, settings_table
 from pixsim.report.wording import DELTA_E, map_words
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.show.document import (
-    Answer,
     Block,
     DeltaEScale,
     Document,
+    DocumentTable,
     Fact,
     Link,
     Listed,
@@ -37,26 +38,19 @@ from pixsim.show.document import (
     Pictures,
     Section,
     Slider,
-    Strong,
-    Table,
 )
 from pixsim.show.pictures import Picture, delta_e_png, display_codes, factor_for, light_png, reduced, scale, scale_end, worst_window
 from pixsim.show.render import PAGE
 from pixsim.show.sentences import rounded, setting_value, span
-from pixsim.studies.averages import Averaged, Compared
-from pixsim.studies.comparison import Comparison
-from pixsim.studies.comparison_cases import ComparedCases
-from pixsim.studies.condition import Condition
+from pixsim.studies.axes import Condition, paths_of
+from pixsim.studies.comparison import ComparedSensor, Comparison, common_words, sensor_words, shown_probability
 from pixsim.studies.cost import PAGE_S, START_S, Cost, frame_cost, render_bytes, render_seconds
-from pixsim.studies.light_level import LightLevel
-from pixsim.studies.lineup import OF_A_SENSOR, SHARED, ComparisonJob, Lineup, pixels_of
-from pixsim.studies.pair_uncertainty import PairUncertainty
-from pixsim.studies.sensor_types import TYPES_FILE
-from pixsim.studies.settings_text import scene_table, settings_text
-from pixsim.studies.study_settings import Study
+from pixsim.studies.drawn_types import TYPES_FILE, PairUncertainty
+from pixsim.studies.files import scene_table, settings_text, without_files_of_axis
+from pixsim.studies.merit import LightLevel
+from pixsim.studies.sensors import OF_A_SENSOR, SHARED, ComparisonJob, SensorGroup, pixels_of
+from pixsim.studies.settings import Study
 from pixsim.studies.uncertainty import FEW_SENSORS
-from pixsim.studies.varied import paths_of
-from pixsim.studies.verdicts import answers, conditions_line, facts, sensor_words, shown_probability
 from pixsim.viewer.develop_options import TONE_CURVES
 from pixsim.viewer.setting import Run
 
@@ -67,13 +61,12 @@ ROWS_FILES = {
 }
 
 
-def comparison_outline(prepared: ComparisonJob) -> dict[str, Any]:
+def comparison_outline(job: ComparisonJob) -> dict[str, Any]:
     """Return what a comparison would do, with an estimate of time and memory; nothing is rendered or written."""
-    lineup = prepared.shown
-    first = lineup.cases[0]
-    lineups = dict.fromkeys(each for group in (prepared.lineups, *prepared.pairs) for each in group)
-    repeats = prepared.repeats + (0 if prepared.types is None else FEW_SENSORS * len(prepared.types.sample.quantiles))
-    costs = [_cost_of(each, repeats) for each in lineups]
+    shown = job.shown
+    first = shown.first
+    repeats = job.repeats + (0 if job.types is None else FEW_SENSORS * len(job.types.sample.quantiles))
+    costs = [_cost_of(group, repeats) for group in job.groups]
     cost = Cost(
         renders=sum(each.renders for each in costs),
         evaluations=sum(each.evaluations for each in costs),
@@ -81,59 +74,66 @@ def comparison_outline(prepared: ComparisonJob) -> dict[str, Any]:
         memory_bytes=max(each.memory_bytes for each in costs),
         jobs=1,
     )
-    scene = first.scene.with_resolution(lineup.film_width)
-    more = prepared.of_study
-    if prepared.types is not None:
-        more["uncertainty"] = {"draws": len(prepared.types.sample.quantiles), "inputs": list(prepared.types.sample.inputs)}
+    scene = first.scene.with_resolution(shown.film_width)
+    more: dict[str, Any] = {}
+    if job.study is not None:
+        more["study"] = {"name": job.study.name, "not_used": list(job.not_used)}
+    if first.condition:
+        more["conditions"] = {group.first.condition: {"weight": group.weight} for group in job.of_sensors()}
+    if job.types is not None:
+        more["uncertainty"] = {"draws": len(job.types.sample.quantiles), "inputs": list(job.types.sample.inputs)}
+    if len(job.combinations) > 1:
+        more["cases"] = [{"at": case.at} for case in job.combinations]
     return more | {
-        "scene": lineup.scene,
-        "match": prepared.match,
-        "repeats": prepared.repeats,
-        **lineup.as_dict(),
+        "scene": shown.scene,
+        "match": job.match,
+        "repeats": job.repeats,
+        **shown.as_dict(),
         "film": {"samples": list(scene.film_shape(first.camera, scene.for_camera(first.camera)))},
-        "display": lineup.settings.display.model_dump(),
+        "display": shown.display.model_dump(),
         "sensors": {
-            sensor.name: {
-                "camera": sensor.camera.model_dump(),
-                "fov_deg": sensor.camera.fov_deg,
-                "pixels": list(pixels_of(sensor)),
-                "pixel": sensor.settings.pixel.model_dump(),
+            case.sensor: {
+                "camera": case.camera.model_dump(),
+                "fov_deg": case.camera.fov_deg,
+                "pixels": list(pixels_of(case)),
+                "pixel": case.settings.pixel.model_dump(),
             }
-            for sensor in lineup.cases
+            for case in shown.cases
         },
         "estimate": asdict(cost),
     }
 
 
-def _cost_of(lineup: Lineup, repeats: int) -> Cost:
+def _cost_of(group: SensorGroup, repeats: int) -> Cost:
     """Estimate the renders and frames of the sensors under one condition."""
     seconds, largest = 0.0, 0.0
-    for sensor in lineup.cases:
-        demand = lineup.demand(sensor, lineup.film_width)
-        frame = frame_cost(sensor.camera, sensor.settings.pixel.pitch_um, *lineup.different_displays)
+    for case in group.cases:
+        request = group.request(case, group.film_width)
+        frame = frame_cost(case.camera, case.settings.pixel.pitch_um, group.display, *case.others)
         cores = processors().usable
-        seconds += render_seconds(demand.plan, demand.shape, cores) + repeats * frame.seconds / cores
-        largest = max(largest, render_bytes(demand.plan, demand.shape) + frame.memory_bytes)
-    return Cost(len(lineup.cases), repeats * len(lineup.cases), seconds, largest, 1)
+        seconds += render_seconds(request.plan, request.shape, cores) + repeats * frame.seconds / cores
+        largest = max(largest, render_bytes(request.plan, request.shape) + frame.memory_bytes)
+    return Cost(len(group.cases), repeats * len(group.cases), seconds, largest, 1)
 
 
-def comparison_outline_document(places: Sequence[tuple[ComparisonJob, Path]], has_cases: bool) -> Document:
+def comparison_outline_document(job: ComparisonJob, out: Path) -> Document:
     """Return the answer of a dry run.
 
-    places : what is prepared, and the folder that would be written
-    has_cases : whether they are cases of a comparison
+    out : folder that would be written
     """
-    shown = [comparison_outline(prepared) for prepared, _ in places]
-    blocks = [block for (prepared, out), own in zip(places, shown, strict=True) for block in _outline_blocks(prepared, own, out)]
-    return Document("compare", "dry run", shown[0]["scene"], {"cases": shown} if has_cases else shown[0], lead=blocks)
+    shown = comparison_outline(job)
+    return Document("compare", "dry run", shown["scene"], shown, lead=list(_outline_blocks(job, shown, out)))
 
 
-def _outline_blocks(prepared: ComparisonJob, shown: dict[str, Any], out: Path) -> Iterator[Block]:
+def _outline_blocks(job: ComparisonJob, shown: dict[str, Any], out: Path) -> Iterator[Block]:
     """Yield what a comparison would do."""
-    lineup, (height, across) = prepared.shown, shown["film"]["samples"]
-    yield Table("sensors", (), [(sensor.name, sensor_words(sensor)) for sensor in lineup.cases], words=None)
-    yield Fact(conditions_line(prepared))
-    yield Fact(f"film of {across} × {height} samples for all{f', in {lineup.condition}' if prepared.conditions else ''}")
+    height, across = shown["film"]["samples"]
+    condition = job.shown.first.condition
+    yield DocumentTable("sensors", (), [(case.sensor, sensor_words(case)) for case in job.shown.cases], words=None)
+    yield Fact(common_words(job))
+    yield Fact(f"film of {across} × {height} samples for all{f', in {condition}' if condition else ''}")
+    if "cases" in shown:
+        yield Fact(f"{len(shown['cases'])} cases: {'; '.join(case.words for case in job.combinations)}")
     if "uncertainty" in shown:
         yield Fact(f"{shown['uncertainty']['draws']} sensor types, over {', '.join(shown['uncertainty']['inputs'])}")
     yield Fact("the film's error is measured by the renders and part of each ±; render noise stands beside the answer if too large")
@@ -144,72 +144,77 @@ def _outline_blocks(prepared: ComparisonJob, shown: dict[str, Any], out: Path) -
 # --- files ------------------------------------------------------------------------------------------------------------------------
 
 
-def comparison_files(prepared: ComparisonJob) -> dict[str, str]:
+def comparison_files(job: ComparisonJob) -> dict[str, str]:
     """Return the names of all files of a comparison, with their descriptions; provenance.json comes with them."""
     files = {
         JSON_FILE: "all numbers and settings, for programs",
         SETTINGS_FILE: "settings of all sensors; its first lines have the command that makes the same numbers again",
     }
-    for sensor in prepared.shown.cases:
+    for sensor in job.names:
         files |= {
-            f"sensors/{sensor.name}.toml": f"pixel, camera and exposure of {sensor.name}, as its file and the options have them",
-            f"pictures/image_{sensor.name}.png": f"image of {sensor.name}, as shown",
-            f"pictures/ideal_{sensor.name}.png": f"image of an ideal camera with the response of {sensor.name}",
-            f"pictures/delta_e_{sensor.name}.png": f"S-CIELAB ΔE map of {sensor.name}, with axes",
+            f"sensors/{sensor}.toml": f"pixel, camera and exposure of {sensor}, as its file and the options have them",
+            f"pictures/image_{sensor}.png": f"image of {sensor}, as shown",
+            f"pictures/ideal_{sensor}.png": f"image of an ideal camera with the response of {sensor}",
+            f"pictures/delta_e_{sensor}.png": f"S-CIELAB ΔE map of {sensor}, with axes",
         }
     return files
 
 
-def check_output(prepared: ComparisonJob, folder: str | os.PathLike[str]) -> None:
+def check_output(job: ComparisonJob, folder: str | os.PathLike[str]) -> None:
     """Raise PixsimError if the folder holds a file of a comparison's name that pixsim did not write."""
-    check_replaceable(folder, {PAGE, *comparison_files(prepared)})
+    check_replaceable(folder, {PAGE, *comparison_files(job)})
 
 
-def settings_files(prepared: ComparisonJob) -> dict[str, str]:
+def settings_files(job: ComparisonJob) -> dict[str, str]:
     """Return settings.toml and a file for each sensor, as name -> text; their command makes the same numbers again.
 
     They state what was stated, and leave open what pixsim chose, such as a display: the command chooses the same again.
     """
-    files = [f"sensors/{sensor.name}.toml" for sensor in prepared.shown.cases]
+    files = [f"sensors/{name}.toml" for name in job.names]
+    has_study = job.study is not None and job.study.has_cases
     words = ["pixsim", "compare", *files]
-    words += [] if prepared.conditions else ["--scene", whole_path(prepared.shown.scene)]
-    words += ["--study" if prepared.conditions else "--config", SETTINGS_FILE]
-    words += ["--match", prepared.match, "--repeats", str(prepared.repeats)]
-    words += [] if prepared.types is None else ["--uncertainty", str(prepared.types.asked)]
-    for option, value in (("--sensor", prepared.shown.sensor), ("--variant", prepared.shown.variant)):
+    words += [] if has_study else ["--scene", whole_path(job.shown.scene)]
+    words += ["--study" if has_study else "--config", SETTINGS_FILE]
+    words += ["--match", job.match] if len(job.matches) == 1 else []
+    words += ["--repeats", str(job.repeats)]
+    if job.types is not None:
+        words += ["--sobol" if job.types.total else "--uncertainty", str(job.types.asked)]
+    for option, value in (("--sensor", job.sensor), ("--variant", job.variant)):
         words += [option, value] if value else []
     command = shlex.join(words)
-    if prepared.conditions and prepared.study is not None:
-        texts = {SETTINGS_FILE: settings_table_text(_study_table(prepared, prepared.study), command)}
+    if job.study is not None and has_study:
+        texts = {SETTINGS_FILE: settings_table_text(_study_table(job, job.study), command)}
     else:
-        first = prepared.base[0]
-        chosen = {"dots"} - first.display.model_fields_set
-        scene = scene_table(prepared.shown.cases[0].scene.path.parent, first.scene)
+        first = job.base[0]
+        chosen = {"dots", "samples_per_deg"} - first.display.model_fields_set  # where both are stated, no other display is shown
+        scene = scene_table(job.shown.first.scene.path.parent, first.scene)
         display = first.display.model_dump(mode="json", exclude_none=True, exclude=chosen)
         text = settings_text(first, command, scene=scene, display=display, camera={}, lens={}, pixel={}, exposure={})
         texts = {SETTINGS_FILE: text}
-    spreads = [{}] * len(files) if prepared.types is None else prepared.types.spreads
-    for file, own, spread in zip(files, prepared.base, spreads, strict=True):
-        texts[file] = settings_text(own, f"(in the folder above) {command}", {"": spread}, **_all_but_sensor(own))
+    spreads = [{}] * len(files) if job.types is None else job.types.spreads
+    for file, settings, spread in zip(files, job.base, spreads, strict=True):
+        texts[file] = settings_text(settings, f"(in the folder above) {command}", {"": spread}, **_all_but_sensor(settings))
     return texts
 
 
-def _all_but_sensor(own: Run) -> dict[str, Any]:
+def _all_but_sensor(settings: Run) -> dict[str, Any]:
     """Return empty tables in place of all that is not a sensor's own."""
-    return {name: {} for name in type(own).model_fields if name not in OF_A_SENSOR}
+    return {name: {} for name in type(settings).model_fields if name not in OF_A_SENSOR}
 
 
-def _study_table(prepared: ComparisonJob, study: Study) -> dict[str, Any]:
-    """Return the tables of a study that makes the same conditions: what all sensors share, and the conditions."""
-    first = prepared.base[0]
+def _study_table(job: ComparisonJob, study: Study) -> dict[str, Any]:
+    """Return the tables of a study that makes the same cases: what all sensors share, the axes and the conditions."""
+    first = job.base[0]
     shared = first.model_dump(mode="json", exclude_unset=True, include=set(SHARED) - set(OF_A_SENSOR))
-    scenes = [part.cases[0].scene.path.parent for part in prepared.conditions]
-    scene = {"file": whole_path(study.scene.file), "parameters": scene_table(scenes[0], first.scene)}
+    groups = {group.first.condition: group for group in job.of_sensors()}
+    scene = {"file": whole_path(study.scene.file), "parameters": scene_table(job.shown.first.scene.path.parent, first.scene)}
     conditions = [
-        condition.model_dump(mode="json") | {"set": _whole_settings(condition, folder)}
-        for condition, folder in zip(study.condition, scenes, strict=True)
+        condition.model_dump(mode="json") | {"set": _whole_settings(condition, groups[condition.name].first.scene.path.parent)}
+        for condition in study.condition
     ]
-    return {"name": study.name} | shared | {"scene": scene, "condition": conditions}
+    cases = {"condition": conditions} if conditions else {}
+    cases |= {"axis": [without_files_of_axis(axis.model_dump(mode="json")) for axis in study.axis]} if study.axis else {}
+    return {"name": study.name} | shared | {"scene": scene} | cases
 
 
 def _whole_settings(condition: Condition, folder: Path) -> dict[str, Any]:
@@ -235,7 +240,7 @@ def _whole_settings(condition: Condition, folder: Path) -> dict[str, Any]:
 
 
 def comparison_document(result: Comparison, warned: Collection[str] = ()) -> Document:
-    """Return the answer of `pixsim compare` for one case, without the sections of its page and other files.
+    """Return the answer of `pixsim compare`, without the sections of its page and other files.
 
     warned : notes that a reader of the terminal has seen
     """
@@ -244,11 +249,11 @@ def comparison_document(result: Comparison, warned: Collection[str] = ()) -> Doc
         kind="comparison of sensors",
         title=" against ".join(result.names),
         data=result.as_dict(),
-        answers=answers(result),
-        lead=(*facts(result), *(Note(note) for note in result.notes if note not in warned)),
+        answers=result.answers(),
+        lead=(*result.facts(), *(Note(note) for note in result.notes if note not in warned)),
         about=(f"{DELTA_E} The mean over the picture is compared.",),
         data_file=JSON_FILE,
-        sources=[Path(sensor.file) for sensor in result.prepared.shown.cases],
+        sources=[Path(case.file) for case in result.shown.cases],
     )
 
 
@@ -257,22 +262,23 @@ def comparison_page(result: Comparison, folder: str | os.PathLike[str]) -> Docum
 
     folder : that will be written, which may hold `ROWS_FILES`
     """
-    end = scale_end(max(compared.score.statistics()["p99_delta_e"] for compared in result.sensors))
+    end = scale_end(max(sensor.score.statistics()["p99_delta_e"] for sensor in result.sensors))
     pictures = dict[str, bytes]()
-    for each in result.sensors:
-        score, where = each.score, picture_axes(each.irradiance, each.score.border_um)
-        pictures[f"pictures/image_{each.name}.png"] = light_png(score.image)
-        pictures[f"pictures/ideal_{each.name}.png"] = light_png(score.ideal)
-        pictures[f"pictures/delta_e_{each.name}.png"] = delta_e_png(score.delta_e, where, end)
+    for sensor in result.sensors:
+        score, where = sensor.score, picture_axes(sensor.light.image, sensor.score.border_um)
+        pictures[f"pictures/image_{sensor.name}.png"] = light_png(score.image)
+        pictures[f"pictures/ideal_{sensor.name}.png"] = light_png(score.ideal)
+        pictures[f"pictures/delta_e_{sensor.name}.png"] = delta_e_png(score.delta_e, where, end)
     rows_files = [name for name in ROWS_FILES if Path(folder, name).is_file()]
     sections = _sections(result, pictures, end, rows_files)
-    return replace(comparison_document(result), sections=sections, files={**pictures, **settings_files(result.prepared)})
+    return replace(comparison_document(result), sections=sections, files={**pictures, **settings_files(result.job)})
 
 
 PAIRED = (
     "Intervals and probabilities are those of Student's t for {} pairs of frames, each of another pair of individual sensors. They "
     "tell how sure the simulation is of the mean ΔE of a sensor type, not how often one frame is better than another. The error "
-    "that the film's samples may cause is the same in every frame: it is stated beside them, and it is a part of each ±."
+    "that the film's samples may cause is the same in every frame: it is stated beside them, and it is a part of each ±. Frame "
+    "number k has the same random seeds in all conditions, whose weighted mean is taken before its interval."
 )
 UNKNOWN_TYPES = (
     "Sensor types are drawn from the ranges of the technologies and from [pixel.uncertainty] of the data sheets. All have the same "
@@ -283,10 +289,6 @@ MATRIX = (
     "as colour."
 )
 DETAIL = "The detail where the errors of the sensors differ most: the ideal image, the sensor's picture, and its errors."
-CASES = (
-    "Each case is a comparison of its own, with its own display and film. Neither sensor is called better where that depends on "
-    "the display."
-)
 
 
 def _sections(result: Comparison, pngs: Mapping[str, bytes], end: float, rows_files: Sequence[str]) -> Iterator[Section]:
@@ -296,141 +298,101 @@ def _sections(result: Comparison, pngs: Mapping[str, bytes], end: float, rows_fi
     end : of the colour scale of the ΔE maps
     rows_files : of `ROWS_FILES`, those that are there
     """
-    prepared, shown, names = result.prepared, result.shown, result.names
-    lineup, first, in_shown = shown.lineup, shown.sensors[0], Averaged(((1.0, shown),))
-    where = f" in {lineup.condition}" if result.conditions else ""
-    maps = [compared.score.delta_e for compared in result.sensors]
+    job, group, sensors, names = result.job, result.shown, result.sensors, result.names
+    first, where = sensors[0], f" in {group.words}" if group.words else ""
+    maps = [sensor.score.delta_e for sensor in sensors]
     window = worst_window([np.abs(other - maps[0]) for other in maps[1:]])
-    better = f"probability that {names[0]} is better"
-    pair_head = ("difference of mean ΔE", "mean", "95 % interval", better, "film's error, at most")
-    others, of = names[1:], "the detail with the largest differences"
-    yield Section("conditions", "Conditions", _condition_blocks(result, pair_head) if result.conditions else ())
-    pictures = [_picture(compared.score.image, compared.name) for compared in result.sensors]
+    pictures = [_picture(sensor.score.image, sensor.name) for sensor in sensors]
     slider = Slider(
         *("slider", f"The whole picture of {names[0]} and of another", pictures[0]),
         (*pictures[1:], _picture(first.score.ideal, "ideal image")),
         *(f"the picture of {names[0]}", "the chosen picture"),
     )
-    sizes = size_words(factor_for(first.score.image), lineup.settings.display.samples_per_deg)
-    yield Section("pictures", "Pictures", (sizes, slider), together=True)
+    sizes = size_words(factor_for(first.score.image), group.display.samples_per_deg)
+    yield Section("differences", "Differences", [_differences(result), PAIRED.format(job.repeats)])
+    yield Section("pictures", f"Pictures{where}", (sizes, slider), together=True)
     details = [
-        Section("", each.name, (Pictures((crops(each.score, window, f"the picture of {each.name}", end),), of),))
-        for each in result.sensors
+        Section("", sensor.name, (Pictures((crops(sensor.score, window, f"the picture of {sensor.name}", end),), of),))
+        for sensor in sensors
+        for of in ("the detail with the largest differences",)
     ]
     yield Section("detail", "The largest differences, 1:1", (DETAIL, *details, DeltaEScale(scale(end))), together=True)
     head = (
         *("sensor", "mean ΔE", "99th percentile", "pixels", "pitch (µm)", "lens", "exposure (ms)", "mean electrons", "full well"),
         *("saturated", "film's error (ΔE)"),
     )
-    sensors = [_row(compared, in_shown.shown_mean(compared.name)) for compared in shown.sensors]
-    pairs = Table("differences of mean ΔE", pair_head, [_pair(result, other) for other in others])
-    of_sensors = Table("numbers of each sensor", head, sensors)
-    words = PAIRED.format(prepared.repeats)
-    yield Section("numbers", f"Numbers{where}", [of_sensors, words] if result.conditions else [of_sensors, pairs, words])
-    types = ("difference of mean ΔE", "sensor types", f"{better} (95 % interval)", "5 %", "median", "95 %", "unknown")
-    unknown = Table("differences over sensor types", types, map(_unknown, result.uncertainty), words=(6,))
+    rows = [_row(sensor, result.shown_mean(sensor.name, condition=group.first.condition or None)) for sensor in sensors]
+    yield Section("numbers", f"Numbers{where}", [DocumentTable("numbers of each sensor", head, rows)])
+    probability = f"probability that {names[0]} is better (95 % interval)"
+    types = ("difference", "sensor types", probability, "5 %", "median", "95 %", "unknown")
+    unknown = DocumentTable("differences over sensor types", types, map(_unknown, result.uncertainty), words=(6,))
     yield Section("unknown", "What is not known of the sensors", [UNKNOWN_TYPES, unknown] if result.uncertainty else ())
-    yield Section("displays", "Displays", _display_blocks(result))
-    colours = [(c.name, colour_rows(c.colour, c.score.out_of_gamut)) for c in shown.sensors if c.colour]
-    tables = [Table(f"colours of {name}", (), rows, name, words=None) for name, rows in colours]
+    colours = [(sensor.name, colour_rows(sensor.colour, sensor.score.out_of_gamut)) for sensor in sensors if sensor.colour]
+    tables = [DocumentTable(f"colours of {name}", (), rows, name, words=None) for name, rows in colours]
     yield Section("colour", f"Colour{where}", [MATRIX, *tables] if tables else ())
-    yield Section("maps", "Maps of the errors", [_map(compared, pngs, end) for compared in result.sensors])
-    rest = f"Noise and non-uniformities that a data sheet does not state are zero. Seed {lineup.settings.seed}."
+    yield Section("maps", "Maps of the errors", [_map(sensor, pngs, end) for sensor in sensors])
+    rest = f"Noise and non-uniformities that a data sheet does not state are zero. Seed {group.first.settings.seed}."
     yield Section("settings", "Settings", [*_settings(result), rest])
-    files = comparison_files(prepared) | {name: words for name, words in ROWS_FILES.items() if name in rows_files}
+    files = comparison_files(job) | {name: words for name, words in ROWS_FILES.items() if name in rows_files}
     listed = [(Link(name, name), f": {words}") for name, words in (files | {"provenance.json": "versions and wall times"}).items()]
     yield Section("files", "Files in this folder", [Listed(listed)])
 
 
-def _condition_blocks(result: Comparison, pair_head: tuple[str, ...]) -> Iterator[Block]:
-    """Yield mean ΔE of each sensor and differences in each condition, then of the weighted mean."""
-    others = result.names[1:]
-    parts: list[tuple[str, str, Averaged, list[tuple[str, ...]]]] = []
-    for number, (lineup, part) in enumerate(zip(result.prepared.conditions, result.conditions, strict=True)):
-        pairs = [_pair(result.pair(other).conditions[number], other) for other in others]
-        parts.append((lineup.condition, f"{lineup.weight:.3g}", part, pairs))
-    parts.append(("weighted mean", "", result, [_pair(result, other) for other in others]))
-    means = [(name, weight, *(part.shown_mean(sensor) for sensor in part.names)) for name, weight, part, _ in parts]
-    head = ("condition", "weight")
-    yield Table("mean ΔE of each sensor in each condition", (*head, *(f"mean ΔE of {name}" for name in result.names)), means)
-    differences = [(name, weight, *pair) for name, weight, _, pairs in parts for pair in pairs]
-    yield Table("differences in each condition", (*head, *pair_head), differences)
-    yield (
-        "Frame number k has the same random seeds in all conditions. The weighted mean is taken of each frame number, before its "
-        "interval. The pictures, numbers and maps below are those of the condition ",
-        Strong(result.shown.lineup.condition),
-        ".",
-    )
-
-
-def _display_blocks(result: Comparison) -> Iterator[Block]:
-    """Yield the differences on each display."""
-    names = result.names
-    mean = "; the weighted mean over the conditions" if result.conditions else ""
-    yield (
-        "Frames do not depend on the display. The same frames are scored on the stated display, and on displays with half and with "
-        f"twice its dots{mean}. Which sensor is better depends on the display where it is another one there."
-    )
-    head = ("dots across", "width of the picture", "difference of mean ΔE", "95 % interval", "film's error, at most", "better")
-    for other in names[1:]:
-        name = f"{other} − {names[0]}"
-        yield Table(f"difference on each display: {name}", head, _display_rows(result, other), name, words=(5,))
-
-
-def cases_document(result: ComparedCases) -> Document:
-    """Return the answer of `pixsim compare` over the values of axes: that of each case is in its folder."""
-    rows = [((Link(case.words or case.folder, f"{case.folder}/{PAGE}"),), words) for case, own in result.answers for words in own]
-    table = Table("the answer in each case", ("case", "answer"), rows, words=None)
-    return Document(
-        command="compare",
-        kind="comparison of sensors",
-        title=" against ".join(result.names),
-        data=result.as_dict(),
-        answers=[Answer((Strong(line),), named=line.startswith(result.names)) for line in map(result.headline, result.names[1:])],
-        about=(CASES,),
-        sections=(Section("cases", "Cases", (table,), brief=True),),
-        data_file=JSON_FILE,
-    )
+def _differences(result: Comparison) -> DocumentTable:
+    """Return the differences of each pair: at values of axes, in the mean and in each condition, by each match, on each display."""
+    better = f"probability that {result.names[0]} is better"
+    head = ("case", "sensors", "mean", "95 % interval", better, "film's error, at most")
+    rows: list[tuple[str, ...]] = []
+    for case in result.cases:
+        conditions = [group.first.condition for group in case.groups() if group.first.condition]
+        for other in result.names[1:]:
+            pair = f"{other} − {result.names[0]}"
+            for match in result.job.matches:
+                for condition in (None, *conditions):
+                    pairs = case.pairs(other, match=match, condition=condition)
+                    film = case.film_of_pair(other, match, condition)
+                    words = [case.case.words, condition or ("weighted mean" if conditions else ""), f"match {match}"]
+                    cells = difference_cells(pairs.difference, pairs.interval, film)
+                    chance = shown_probability(pairs.probability_a_better)
+                    rows.append((", ".join(filter(None, words)), pair, *cells[:2], chance, cells[2]))
+            for display in case.display_differences(other)[1:]:
+                cells = difference_cells(display.difference, display.interval_delta_e, display.film_delta_e)
+                words = [case.case.words, f"{display.dots} dots"]
+                rows.append((", ".join(filter(None, words)), pair, *cells[:2], "", cells[2]))
+    return DocumentTable("differences of mean ΔE", head, rows, words=(1,))
 
 
 def _picture(luminance: Array, name: str) -> Picture:
     return Picture(display_codes(reduced(luminance)), name)
 
 
-def _map(compared: Compared, pngs: Mapping[str, bytes], end: float) -> Map:
+def _map(sensor: ComparedSensor, pngs: Mapping[str, bytes], end: float) -> Map:
     """Return the ΔE map of a sensor."""
-    found = compared.score.statistics()
-    words = map_words(f"{compared.name}, first frame: ", found["mean_delta_e"], found["p99_delta_e"], end)
-    return Map(pngs[f"pictures/delta_e_{compared.name}.png"], words)
+    statistics = sensor.score.statistics()
+    words = map_words(f"{sensor.name}, first frame: ", statistics["mean_delta_e"], statistics["p99_delta_e"], end)
+    return Map(pngs[f"pictures/delta_e_{sensor.name}.png"], words)
 
 
-def _row(compared: Compared, mean: str) -> tuple[str, ...]:
+def _row(sensor: ComparedSensor, mean: str) -> tuple[str, ...]:
     """Return a sensor's row of the page's table of numbers.
 
     mean : its mean ΔE
     """
-    statistics = compared.score.statistics()
-    (rows, columns), pixel = pixels_of(compared.sensor), compared.sensor.settings.pixel
+    statistics = sensor.score.statistics()
+    (rows, columns), pixel = pixels_of(sensor.case), sensor.case.settings.pixel
     return (
-        compared.name,
+        sensor.name,
         mean,
         f"{statistics['p99_delta_e']:.3g}",
         f"{columns} × {rows}",
         f"{pixel.pitch_um:g}",
-        compared.sensor.camera.lens_words,
+        sensor.case.camera.lens_words,
         f"{1e3 * statistics['integration_s']:.3g}",
         rounded(statistics["mean_electrons_e"], 4),
         rounded(statistics["full_well_e"], 4),
         f"{100 * statistics['saturated_fraction']:.2g} %",
-        "unknown" if compared.film_delta_e is None else f"{compared.film_delta_e:.1g}",
+        "unknown" if math.isnan(sensor.film_delta_e) else f"{sensor.film_delta_e:.1g}",
     )
-
-
-def _pair(result: Averaged, other: str) -> tuple[str, ...]:
-    """Return a row of the page's table of differences."""
-    film, better = result.film_delta_e[other], shown_probability(result.probability_a_better[other])
-    mean, interval, error = difference_cells(result.difference[other], result.interval_delta_e[other], film)
-    return f"{other} − {result.names[0]}", mean, interval, better, error
 
 
 def difference_cells(difference: float, interval: tuple[float, float], film: float | None) -> tuple[str, str, str]:
@@ -438,48 +400,37 @@ def difference_cells(difference: float, interval: tuple[float, float], film: flo
     return f"{difference:+.4f}", span(*interval, "+.4f"), "unknown" if film is None else f"{film:.2g}"
 
 
-def _unknown(found: PairUncertainty) -> tuple[str, ...]:
+def _unknown(drawn: PairUncertainty) -> tuple[str, ...]:
     """Return a row of the page's table of what is not known of the sensors."""
-    better, ends, metric = found.probability_a_better, found.difference.quantiles, found.metric
+    better, ends, metric = drawn.probability_a_better, drawn.difference.quantiles, drawn.metric
     form, judge = (".4f", "") if metric.is_delta_e else (".4g", f", {metric.words}{metric.unit and f' ({metric.unit})'}")
     return (
-        f"{found.names[1]} − {found.names[0]}{judge}",
+        f"{drawn.names[1]} − {drawn.names[0]}{judge}",
         str(better.draws),
         str(better),
         *(f"{ends[name]:+{form}}" for name in ("p05", "p50", "p95")),
-        found.matters,
+        drawn.matters,
     )
 
 
-def _display_rows(result: Comparison, other: str) -> list[tuple[str, ...]]:
-    """Return the rows of the page's table of a difference on each display."""
-    better = {1: result.names[0], -1: other, 0: "not told apart"}
-    samples_per_deg = result.shown.lineup.settings.display.samples_per_deg
-    rows: list[tuple[str, ...]] = []
-    for difference in result.display_differences(other):
-        numbers = difference_cells(difference.difference, difference.interval_delta_e, difference.film_delta_e)
-        words = "hidden by the film's error" if difference.is_hidden_by_film else better[difference.sign]
-        rows.append((str(difference.dots), f"{difference.dots / samples_per_deg:.3g}°", *numbers, words))
-    return rows
-
-
-def _settings(result: Comparison) -> Iterator[Table]:
+def _settings(result: Comparison) -> Iterator[DocumentTable]:
     """Yield the settings of all sensors, then each sensor's own, then what each condition sets."""
-    prepared, lineup, first = result.prepared, result.shown.lineup, result.shown.sensors[0]
-    display, coloured = lineup.settings.display, any(compared.sensor.settings.pixel.colour for compared in result.sensors)
-    light = LightLevel.of(first.irradiance, display, [compared.score.frame.integration_s for compared in result.sensors])
-    yield settings_table("scene", scene_rows(first.irradiance, first.sensor.settings.scene, light))
-    yield settings_table("display", record_rows("display", display, False, coloured=coloured))
-    if coloured or lineup.settings.develop.words:
-        yield settings_table("develop", record_rows("develop", lineup.settings.develop, False, coloured=coloured))
-    for compared in result.sensors:
-        sensor = compared.sensor
-        pixel, exposure = sensor.settings.pixel, sensor.settings.exposure
-        sheet = pixel.technology == NO_TECHNOLOGY
-        records: dict[str, Record] = {"camera": sensor.camera, "pixel": pixel, "exposure": exposure}
+    job, group, first = result.job, result.shown, result.sensors[0]
+    coloured = any(sensor.case.settings.pixel.colour for sensor in result.sensors)
+    times_s = [sensor.score.frame.integration_s for sensor in result.sensors]
+    level = LightLevel.of(first.light.image, group.display, times_s)
+    yield settings_table("scene", scene_rows(first.light.image, first.case.settings.scene, level))
+    yield settings_table("display", record_rows("display", group.display, False, coloured=coloured))
+    develop = group.first.settings.develop
+    if coloured or develop.words:
+        yield settings_table("develop", record_rows("develop", develop, False, coloured=coloured))
+    for sensor in result.sensors:
+        settings = sensor.case.settings
+        sheet = settings.pixel.technology == NO_TECHNOLOGY
+        records: dict[str, Record] = {"camera": sensor.case.camera, "pixel": settings.pixel, "exposure": settings.exposure}
         for name, record in records.items():
             yield settings_table(f"{sensor.name}: {name}", record_rows(name, record, sheet))
-    for each in () if prepared.study is None else prepared.study.condition:
-        values = [(path, reduce(getitem, path, each.set)) for path in paths_of(each.set)]
+    for condition in () if job.study is None else job.study.condition:
+        values = [(path, reduce(getitem, path, condition.set)) for path in paths_of(condition.set)]
         rows = [(".".join(path), setting_value(value, path[-1]), "", "set") for path, value in values]
-        yield settings_table(f"condition {each.name}", rows)
+        yield settings_table(f"condition {condition.name}", rows)

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from pixsim.base.files import MIB
-from pixsim.show.document import Answer, Block, Document, Listed, Table
+from pixsim.show.document import Answer, Block, Document, DocumentTable, Listed
 
 if TYPE_CHECKING:
     from pixsim.sensor.camera_data import CameraEntry
@@ -30,7 +30,12 @@ def cache_document(summary: Mapping[str, Any], freed_bytes: int | None = None) -
         for name, kind in summary["kinds"].items()
     ]
     others = f"{mib(foreign)} of other files, or of another release, which pixsim leaves alone"
-    blocks: list[Block] = [*freed, size, *([Table("entries", (), rows)] if rows else []), *([Listed(others)] if foreign else [])]
+    blocks: list[Block] = [
+        *freed,
+        size,
+        *([DocumentTable("entries", (), rows)] if rows else []),
+        *([Listed(others)] if foreign else []),
+    ]
     data = {**summary} | ({} if freed_bytes is None else {"freed_bytes": freed_bytes})
     return Document("cache", "cache", summary["folder"], data, blocks)
 
@@ -47,5 +52,5 @@ def cameras_document(cameras: Sequence[CameraEntry], sources: Mapping[str, str])
     ]
     use = 'use: pixel.colour.sensitivities = "NAME" with pixel.colour.peak_quantum_efficiency; pixsim cameras --json has the notes'
     kinds = (f"{kind}: {words}" for kind, words in sources.items())
-    blocks: list[Block] = [Table("cameras", (), rows, words=None), *kinds, use]
+    blocks: list[Block] = [DocumentTable("cameras", (), rows, words=None), *kinds, use]
     return Document("cameras", "cameras", "Cameras", {"cameras": [asdict(each) for each in cameras]}, blocks)

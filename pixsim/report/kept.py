@@ -31,7 +31,7 @@ from pixsim.studies.result import StudyResult
 
 DRAWING = ("Jinja2", "MarkupSafe", "Pillow", "contourpy", "kiwisolver")  # packages that decide on the bytes, besides DEPENDENCIES
 # Fields that are not compared: how a result was computed, as the wall times tell too; and what follows from the other fields.
-LEFT_OUT = ("counts", "lights", "likeliest", "width_um")
+LEFT_OUT = ("counts", "lit", "table", "likeliest", "width_um")
 
 
 def keep_or_write(command: str, made_from: str, folder: Path, write: Callable[[], Path]) -> Path:

@@ -12,7 +12,7 @@ import numpy as np
 from pixsim.base.arrays import Array
 from pixsim.base.errors import one_line
 from pixsim.measure.lens import MTF_LINES, LensData, cross_section
-from pixsim.show.document import Answer, Document, Listed, Note, Plot, Section, Table, made_with
+from pixsim.show.document import Answer, Document, DocumentTable, Listed, Note, Plot, Section, made_with
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, finish, new_figure, own_style
 from pixsim.show.pages import Column, Plate, coarse_table, figure_files
 from pixsim.show.sentences import UNKNOWN, number
@@ -335,7 +335,7 @@ def title_of(data: LensData) -> str:
     )
 
 
-def first_order_table(data: LensData) -> Table:
+def first_order_table(data: LensData) -> DocumentTable:
     """Return the first-order data, with a column for each wavelength."""
     names = {
         "focal_length_mm": "focal length (mm)",
@@ -348,10 +348,10 @@ def first_order_table(data: LensData) -> Table:
     }
     head = ("", *(f"{nm:.5g} nm" for nm in data.wavelength_nm))
     rows = tuple((words, *(f"{getattr(each, name):.6g}" for each in data.first)) for name, words in names.items())
-    return Table("first-order data", head, rows, "Paraxial, with the object at infinity")
+    return DocumentTable("first-order data", head, rows, "Paraxial, with the object at infinity")
 
 
-def field_table(data: LensData) -> Table:
+def field_table(data: LensData) -> DocumentTable:
     """Return what rays and waves of each field do."""
     units = {"field": "°", "height": "mm", "chief ray": "°", "distortion": "%", "illumination": "", "spot": "µm rms",
              "wavefront": "waves rms"} | {f"MTF {f:.4g}/mm": "t / s" for f in data.asked_lp_per_mm}  # fmt: skip
@@ -365,7 +365,7 @@ def field_table(data: LensData) -> Table:
         for each, dark in zip(data.as_dict()["fields"], data.dark, strict=True)
     )  # fmt: skip
     caption = "Real rays; MTF tangential / sagittal (t / s)"
-    return Table("fields", tuple(f"{name}\n{unit}" for name, unit in units.items()), rows, caption)
+    return DocumentTable("fields", tuple(f"{name}\n{unit}" for name, unit in units.items()), rows, caption)
 
 
 SHARP = 0.1  # of the largest image height: light that is so close together is seen as a ghost, not as a veil
@@ -389,7 +389,7 @@ def ghost_words(data: LensData) -> list[str]:
     ]
 
 
-def ghost_table(data: LensData) -> Table:
+def ghost_table(data: LensData) -> DocumentTable:
     """Return what the pairs of surfaces with the largest shares reflect twice, and the pair that focuses nearest to the sensor."""
     listed = data.ghosts[:SHOWN_GHOSTS]
     nearest = data.focused_ghost
@@ -404,10 +404,10 @@ def ghost_table(data: LensData) -> Table:
     head = "surfaces", "share of the light (%)", "focus behind the image plane (mm)", "disc of a point (mm)"
     shown = f", {SHOWN_GHOSTS} of {len(data.ghosts)} pairs" if len(data.ghosts) > len(listed) else ""
     caption = f"Light on the axis that two surfaces reflect{shown}: paraxial, not stopped by apertures"
-    return Table("reflected-twice", head, rows, caption)
+    return DocumentTable("reflected-twice", head, rows, caption)
 
 
-def surface_table(data: LensData) -> Table:
+def surface_table(data: LensData) -> DocumentTable:
     """Return the prescription."""
     prescription = data.lens.prescription
     head = ("surface", "radius (mm)", "thickness (mm)", "medium behind", "conic", "asphere", "semi-diameter (mm)")
@@ -424,4 +424,4 @@ def surface_table(data: LensData) -> Table:
             semi + (", clips" if surface.clips and semi else ""),
         ))  # fmt: skip
     caption = "Surfaces in the order of the light; the last thickness leads to the image plane"
-    return Table("prescription", head, rows, caption)
+    return DocumentTable("prescription", head, rows, caption)

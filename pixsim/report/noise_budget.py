@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pixsim.show.document import Plot, Section, Table
+from pixsim.show.document import DocumentTable, Plot, Section
 from pixsim.show.figures import COLOURS, finish, new_figure, own_style
 from pixsim.show.pages import Column, Plate
 from pixsim.show.sentences import rounded
@@ -41,7 +41,7 @@ def budget_columns(budgets: Mapping[str, NoiseBudget]) -> dict[str, Column]:
     return {name: [row[at] for row in rows] for at, name in enumerate(names)}
 
 
-def parts_table(budgets: Mapping[str, NoiseBudget]) -> Table:
+def parts_table(budgets: Mapping[str, NoiseBudget]) -> DocumentTable:
     """Return the table of the mean ΔE by kinds of causes, a row for each pixel, without kinds that are 0 for all of them."""
     parts = {label: budget.parts for label, budget in budgets.items()}
     kinds = [kind for kind in next(iter(parts.values())) if any(delta_e[kind] for delta_e in parts.values())]
@@ -49,10 +49,10 @@ def parts_table(budgets: Mapping[str, NoiseBudget]) -> Table:
     for label, delta_e in parts.items():
         values = [budgets[label].mean_delta_e, *(delta_e[kind] for kind in kinds)]
         rows.append((label, *(f"{value:z.3f}" for value in values)))
-    return Table("parts of the mean ΔE", ("pixel", "mean ΔE", *kinds), tuple(rows))
+    return DocumentTable("parts of the mean ΔE", ("pixel", "mean ΔE", *kinds), tuple(rows))
 
 
-def budget_table(budgets: Mapping[str, NoiseBudget]) -> Table:
+def budget_table(budgets: Mapping[str, NoiseBudget]) -> DocumentTable:
     """Return the table of a page: causes down, electrons and ΔE of each pixel across."""
     all_of, several = budgets.values(), len(budgets) > 1
     causes = dict.fromkeys(cause for budget in all_of for cause in budget.delta_e)
@@ -68,7 +68,7 @@ def budget_table(budgets: Mapping[str, NoiseBudget]) -> Table:
     if any(each.render_e for each in all_of):
         rows.append(row("render, beside them", *((each.render_e, None) for each in all_of)))
     heads = (f"{label}\n{unit}" if several else unit for label in budgets for unit in ("noise (e-)", "mean ΔE"))
-    return Table("noise budget", ("cause\n" if several else "cause", *heads), tuple(rows))
+    return DocumentTable("noise budget", ("cause\n" if several else "cause", *heads), tuple(rows))
 
 
 @own_style()

@@ -8,21 +8,21 @@ from typing import TYPE_CHECKING, Any
 
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.sensor.labels import label_of
-from pixsim.show.document import Block, Document, Table
+from pixsim.show.document import Block, Document, DocumentTable
 from pixsim.show.sentences import rounded
 from pixsim.studies.cost import MOST_EVALUATIONS, Cost
-from pixsim.studies.extent import columns_on
+from pixsim.studies.dry_run import planned_run, planned_study
 from pixsim.studies.film_error import TOLERATED_SHARE
-from pixsim.studies.outline import planned_run, planned_study
+from pixsim.studies.merit import columns_on
 from pixsim.studies.sentences import lens_words, view_words
-from pixsim.studies.study_settings import Study
+from pixsim.studies.settings import Study
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.setting import Effort, Run
 
 if TYPE_CHECKING:
     from pixsim.scene.plan import Plan
-    from pixsim.studies.cases import Job
-    from pixsim.studies.preparation import StudyJob
+    from pixsim.studies.design import Job
+    from pixsim.studies.prepare import StudyJob
     from pixsim.studies.run import RunJob
 
 
@@ -140,7 +140,7 @@ def plan_document(plan: Plan, scene: str, assumption: str) -> Document:
     passes = "no samples" if plan.exact else f"{plan.passes} of {plan.full_passes} passes, each of {plan.spp} samples"
     error = f"relative error of the mean electrons at most {plan.bound_e:.1e}{'' if plan.bounded else ' plus unknown terms'}"
     measured = "the film's error is" if plan.exact else "the film's error and the render noise are"
-    blocks: list[Block] = [Table("decisions", ("", "", "why", "saved", "bound on e-"), rows, words=(1, 2, 3))]
+    blocks: list[Block] = [DocumentTable("decisions", ("", "", "why", "saved", "bound on e-"), rows, words=(1, 2, 3))]
     blocks += [f"warning: {note}" for note in plan.warnings]
     if plan.in_focus_m is not None:
         near_m, far_m = plan.in_focus_m

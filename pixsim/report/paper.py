@@ -25,8 +25,7 @@ from pixsim.studies.claims import (
     pixels_on_die,
     reference_process,
 )
-from pixsim.studies.extent import extent
-from pixsim.studies.merit import study_mtf_terms, system_mtf
+from pixsim.studies.merit import extent, study_mtf_terms, system_mtf
 from pixsim.studies.result import StudyResult
 
 if TYPE_CHECKING:

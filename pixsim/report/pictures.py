@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pixsim.show.pictures import AxisLabels, Picture, PictureAxes, Window, delta_e_colours, display_codes
-from pixsim.studies.extent import NO_BORDER, Border, csf_contrasts, csf_range_lp_per_mm, extent
+from pixsim.studies.merit import NO_BORDER, Border, csf_contrasts, csf_range_lp_per_mm, extent
 
 if TYPE_CHECKING:
     from pixsim.light.spectral import SpectralImage

@@ -20,26 +20,39 @@ from pixsim.report.settings import scene_rows, settings_tables
 from pixsim.report.wording import DELTA_E, blur_words, map_words, rendered_words
 from pixsim.sensor.labels import label_of
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
-from pixsim.show.document import DeltaEScale, Document, Fact, Link, Listed, Map, Note, Pictures, Plot, Section, Slider, Table, Text
+from pixsim.show.document import (
+    DeltaEScale,
+    Document,
+    DocumentTable,
+    Fact,
+    Link,
+    Listed,
+    Map,
+    Note,
+    Pictures,
+    Plot,
+    Section,
+    Slider,
+    Text,
+)
 from pixsim.show.pages import figure_files
 from pixsim.show.pictures import Picture, delta_e_png, display_codes, factor_for, light_png, reduced, scale, scale_end, worst_window
 from pixsim.show.render import PAGE
 from pixsim.show.sentences import rounded, span
-from pixsim.studies.extent import extent
-from pixsim.studies.light_level import LightLevel
-from pixsim.studies.quanta import NEQ, neq_against_frequency, quanta_of_run
-from pixsim.studies.run import LitRun, RunJob, RunResult
-from pixsim.studies.run_arrays import Irradiance, write_irradiance, write_numbers
+from pixsim.studies.files import settings_text
+from pixsim.studies.merit import NEQ, LightLevel, extent, neq_against_frequency, quanta_of_run
+from pixsim.studies.run import Irradiance, LitRun, RunJob, RunResult, write_irradiance, write_numbers
 from pixsim.studies.sentences import FILLED, judged_lines, leads_other, lens_words, run_answers, thin_lens_words, unsure_words
-from pixsim.studies.settings_text import settings_text
 
 if TYPE_CHECKING:
     from pixsim.light.spectral import SpectralImage
     from pixsim.viewer.noise_budget import NoiseBudget
 
 # Files next to the page, with their descriptions.
+ROWS_FILE = "results.csv"
 FILES = {
     "score.json": "all numbers and settings, for programs",
+    ROWS_FILE: "numbers of the first frame of each sensor",
     "irradiance.exr": "light on the sensor, before diffraction",
     "raw.exr": "digital numbers of the sensor",
     "ideal.png": "image of an ideal camera, as shown",
@@ -180,7 +193,7 @@ def run_page(result: RunResult, files: RunFiles = USUAL, progress: Progress | No
         pictures["delta_e.png"] = delta_e_png(score.delta_e, picture_axes(irradiance, score.border_um), end)
         settings = {SETTINGS_FILE: run_settings_text(result.prepared, irradiance)}
         sections = *document.sections, *_sections(result, pictures, files)
-        return replace(document, sections=sections, files={**pictures, **settings})
+        return replace(document, sections=sections, files={**pictures, **settings, ROWS_FILE: result.results_csv})
 
     document = run_document(result)
     return replace(document, writers=(write_light, write_frames), finish=finish)  # the largest file by far first
@@ -268,9 +281,9 @@ def _sections(result: RunResult, pictures: Mapping[str, bytes], files: RunFiles)
             (Map(pictures["delta_e.png"], map_words("", score.mean_delta_e, p99, end)),),
             together=True,
         ),
-        Section("numbers", "Numbers", (Table("numbers of this picture", (), _numbers(result)),)),
+        Section("numbers", "Numbers", (DocumentTable("numbers of this picture", (), _numbers(result)),)),
         Section("neq", "Noise-equivalent quanta", (Plot(lambda: neq_against_frequency(quanta)),) if quanta else ()),
-        Section("colour", "Colour", (COLOUR, Table("numbers of the colours", (), colour)) if colour else ()),
+        Section("colour", "Colour", (COLOUR, DocumentTable("numbers of the colours", (), colour)) if colour else ()),
         Section("settings", "Settings", (*_settings(result, sheet), f"{rest} Seed {settings.seed}.")),
         Section("files", "Files in this folder", (Listed(_files(files, result.prepared.frames)), f"Irradiance: {source}.")),
     )
@@ -288,12 +301,12 @@ def _numbers(result: RunResult) -> tuple[tuple[str, str], ...]:
     if result.score.physics.technology.name == NO_TECHNOLOGY and statistics["fill_factor"] > FILLED:
         del statistics["fill_factor"]  # the data sheet states none
     rows = [(MEANINGS[key], rounded(value, 5)) for key, value in statistics.items()]
-    if result.rendered is not None:
+    if result.rendered and result.rendered.noise:
         rows.append(("noise of the render relative to the sensor's noise", f"{result.rendered.noise.fraction:.2g}"))
     return tuple(rows)
 
 
-def _settings(result: RunResult, sheet: bool) -> list[Table]:
+def _settings(result: RunResult, sheet: bool) -> list[DocumentTable]:
     """Return the settings of a run, with their meaning and source.
 
     sheet : whether they are those of a data sheet
@@ -343,7 +356,7 @@ def run_settings_text(prepared: RunJob, irradiance: SpectralImage) -> str:
 def digest_of_run(lit: LitRun, files: RunFiles = USUAL) -> str:
     """Hash of everything that the files of a run are made from, but the wall times."""
     prepared, light = lit.prepared, lit.irradiance
-    film = lit.rendered and lit.rendered.film.as_dict()
+    film = lit.rendered.film.as_dict() if lit.rendered and lit.rendered.film else None
     of_case = prepared.settings, prepared.camera
     own = *of_case, prepared.asked.camera, prepared.repeats, prepared.frames
     without = prepared.cases[0].without

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 from pixsim.base.records import Record
 from pixsim.optics.camera import Camera
 from pixsim.sensor.pixel_options import PixelOptions
-from pixsim.show.document import Table
+from pixsim.show.document import DocumentTable
 from pixsim.show.sentences import setting_value
 from pixsim.viewer.develop_options import OF_COLOUR_FRAMES
 from pixsim.viewer.setting import Setting
 
 if TYPE_CHECKING:
     from pixsim.light.spectral import SpectralImage
-    from pixsim.studies.light_level import LightLevel
+    from pixsim.studies.merit import LightLevel
 
 # Pixel options that select models of a process; a sensor given by its data sheet uses none of them.
 OF_A_PROCESS = frozenset({"capacitance", "well_limit", "conversion", "response", "fill_factor_law"})
@@ -79,7 +79,7 @@ def settings_tables(
     coloured: bool,
     from_data_sheet: bool,
     sources: Mapping[str, str] | None = None,
-) -> list[Table]:
+) -> list[DocumentTable]:
     """Return the tables of a page with all settings of a result, that of its scene first.
 
     pixel : None for sensors that have one each
@@ -99,6 +99,6 @@ def settings_tables(
     return [settings_table(name, own) for name, own in {"scene": scene, **used}.items()]
 
 
-def settings_table(name: str, rows: Iterable[Row]) -> Table:
+def settings_table(name: str, rows: Iterable[Row]) -> DocumentTable:
     """Return the table of a page with settings, their meaning and source."""
-    return Table(name, (), tuple(tuple(map(str, row)) for row in rows), name, words=None, stacks=True)
+    return DocumentTable(name, (), tuple(tuple(map(str, row)) for row in rows), name, words=None, stacks=True)

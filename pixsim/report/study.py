@@ -25,13 +25,13 @@ from pixsim.show.document import (
     Block,
     DeltaEScale,
     Document,
+    DocumentTable,
     Fact,
     Note,
     Pictures,
     Plot,
     Section,
     Slider,
-    Table,
     Tiles,
     VerdictText,
     headline,
@@ -45,17 +45,19 @@ from pixsim.show.render import lines
 from pixsim.show.sentences import capital
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, findings
 from pixsim.studies.engine import Workers, results_of
-from pixsim.studies.extent import csf_range_lp_per_mm
 from pixsim.studies.merit import (
+    NEQ,
+    csf_range_lp_per_mm,
     detail_frequency_lp_per_mm,
     longest_path_um,
     mpe30_lx_s,
     mtf50_cy_per_mm,
+    neq_against_frequency,
+    quanta_of_study,
     shown_mtf,
     study_mtf_terms,
     system_mtf,
 )
-from pixsim.studies.quanta import NEQ, neq_against_frequency, quanta_of_study
 from pixsim.studies.regret import Regrets, metric_regrets
 from pixsim.studies.result import (
     Curve,
@@ -66,9 +68,9 @@ from pixsim.studies.result import (
     range_columns,
     shown_mean_and_ci95,
 )
-from pixsim.studies.sampling import imaging_of
 from pixsim.studies.sentences import film_words, is_partly_filled, optima_table, optimum_parts, study_facts
-from pixsim.studies.study_settings import Study
+from pixsim.studies.settings import Study
+from pixsim.studies.sizes import imaging_of
 
 if TYPE_CHECKING:
     from pixsim.viewer.noise_budget import NoiseBudget
@@ -421,7 +423,7 @@ def _paper(rows: Sequence[Finding]) -> list[Block]:
     """Return the statements of the paper, if they are compared."""
     head = "statement of the paper", "paper", "pixsim", "agrees"
     statements = [(row.statement, row.given, row.found, agrees(row.agrees)) for row in rows]
-    return [PAPER, Table("statements of the paper", head, statements, words=None, stacks=True)] if rows else []
+    return [PAPER, DocumentTable("statements of the paper", head, statements, words=None, stacks=True)] if rows else []
 
 
 def agrees(whether: bool) -> tuple[VerdictText]:
@@ -446,7 +448,7 @@ def _numbers(values: Array, form: str) -> list[str]:
     return [f"{value:{form}}" if np.isfinite(value) else "–" for value in values]
 
 
-def numbers_table(curve: Curve) -> Table:
+def numbers_table(curve: Curve) -> DocumentTable:
     """Return the mean of each metric for each pixel size."""
     data, partly = curve.as_dict(), is_partly_filled(curve)
     columns = {
@@ -455,7 +457,7 @@ def numbers_table(curve: Curve) -> Table:
         "sensors": [str(value) for value in data["sensors"]],
         **dict(_metric_columns(curve)),
     }
-    return Table(f"numbers of {curve.label}", columns, zip(*columns.values(), strict=True))
+    return DocumentTable(f"numbers of {curve.label}", columns, zip(*columns.values(), strict=True))
 
 
 def _assumptions(result: StudyResult) -> Iterator[Block]:
@@ -472,7 +474,7 @@ def _assumptions(result: StudyResult) -> Iterator[Block]:
             f"Technology {name}: every number, its plausible range and its source (A primary, B secondary, C derived, D assumed)"
         )
         head = ("number", "value", "plausible range", "source")
-        yield Section("", title, [Table(f"technology {name}", head, rows, words=None)], folded=True)
+        yield Section("", title, [DocumentTable(f"technology {name}", head, rows, words=None)], folded=True)
 
 
 def _rendered(result: StudyResult) -> str:
@@ -482,7 +484,7 @@ def _rendered(result: StudyResult) -> str:
     return f"Irradiance: {rendered_words(header)}{seed}. Study seed {result.study.seed}."
 
 
-def settings(result: StudyResult) -> list[Table]:
+def settings(result: StudyResult) -> list[DocumentTable]:
     """Return the tables of parameters with their meaning and source; unset ones come from the technology."""
     study = result.study
     coloured = any(study.options_of(technology).colour for technology in study.technologies)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
-from pixsim.show.document import Answer, Block, Document, Fact, Link, Plot, Section, Table, headline
+from pixsim.show.document import Answer, Block, Document, DocumentTable, Fact, Link, Plot, Section, headline
 from pixsim.show.figures import COLOURS, literal, new_figure, own_style
 from pixsim.show.pages import Plate, figure_files
 from pixsim.show.sentences import capital
@@ -63,12 +63,12 @@ def _blocks(result: UncertaintyResult, number: int) -> list[Block]:
     blocks: list[Block] = [Plot(partial(distribution_plate, result, f"uncertainty_distribution_{number}"))]
     if result.verdicts:
         rows = [(name, str(probability)) for name, probability in result.verdicts.items()]
-        blocks.append(Table("probabilities", ("statement", "probability that it holds (95 % interval)"), rows, words=None))
+        blocks.append(DocumentTable("probabilities", ("statement", "probability that it holds (95 % interval)"), rows, words=None))
     blocks += [SHARES, shares_table(result)]
     return [*blocks, (Link("All sensor types (CSV)", f"sensor_types_{number}.csv"),)]
 
 
-def shares_table(result: UncertaintyResult) -> Table:
+def shares_table(result: UncertaintyResult) -> DocumentTable:
     """Return the shares of the variance of both results that inputs explain alone, and with all interactions if known."""
     head = ["input"]
     for name in ("optimal size", result.metric.best):
@@ -78,7 +78,7 @@ def shares_table(result: UncertaintyResult) -> Table:
         (label, *(str(share) for shares in result.shares.values() for share in shares[name].values()))
         for name, label in labels.items()
     ]
-    return Table("shares of the variance", head, rows, words=None)
+    return DocumentTable("shares of the variance", head, rows, words=None)
 
 
 @own_style()

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from pixsim.show.document import Answer, Strong, joined
 from pixsim.show.sentences import interval
-from pixsim.studies.conditions import weighted_criterion
 from pixsim.studies.merit import detail_terms
-from pixsim.studies.regret import Regrets
+from pixsim.studies.regret import Regrets, weighted_criterion
 
 if TYPE_CHECKING:
     from pixsim.light.spectral import SpectralImage

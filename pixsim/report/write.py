@@ -10,22 +10,21 @@ from pixsim.base.errors import invalid
 from pixsim.base.files import output_folder
 from pixsim.measure.lens import LensData
 from pixsim.report.axes import study_report
-from pixsim.report.compare import cases_document, comparison_page
+from pixsim.report.compare import comparison_page
 from pixsim.report.lens import lens_document
 from pixsim.report.run import run_page
 from pixsim.show.document import Document
 from pixsim.show.pages import Figures
 from pixsim.show.render import write
 from pixsim.studies.comparison import Comparison
-from pixsim.studies.comparison_cases import ComparedCases
-from pixsim.studies.conditions import condition_regrets
+from pixsim.studies.regret import condition_regrets
 from pixsim.studies.result import StudyResult
 from pixsim.studies.run import RunResult
 
 
 @checks_arguments
 def write_report(
-    result: RunResult | StudyResult | Comparison | ComparedCases | LensData,
+    result: RunResult | StudyResult | Comparison | LensData,
     folder: str | os.PathLike[str],
     seconds: dict[str, float] | None = None,
     figures: Figures = "svg",
@@ -42,21 +41,15 @@ def write_report(
     Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
     pixsim did not write; and for "pdf" of a result without figures.
     """
-    if figures != "svg" and isinstance(result, RunResult | Comparison | ComparedCases):
+    if figures != "svg" and isinstance(result, RunResult | Comparison):
         raise invalid("figures", f"'{figures}' for a {type(result).__name__}", "'svg', since it has pictures and no figures")
     times = {"seconds": seconds} if seconds else {}
     with output_folder(folder) as path:  # one that cannot be written fails before figures are drawn
-        if isinstance(result, ComparedCases):
-            for case, own in result.results:
-                write_report(own, path / case.folder, seconds)
         return write(_page(result, path, seconds or {}, figures), Path(folder), times, figures)
 
 
 def _page(
-    result: RunResult | StudyResult | Comparison | ComparedCases | LensData,
-    folder: Path,
-    seconds: dict[str, float],
-    figures: Figures,
+    result: RunResult | StudyResult | Comparison | LensData, folder: Path, seconds: dict[str, float], figures: Figures
 ) -> Document:
     """Return the document of a result with its page; the arguments are those of `write_report`."""
     if isinstance(result, RunResult):
@@ -65,6 +58,4 @@ def _page(
         return lens_document(result)
     if isinstance(result, Comparison):
         return comparison_page(result, folder)
-    if isinstance(result, ComparedCases):
-        return cases_document(result)
     return study_report(result, condition_regrets(result.study, result.curves), seconds, figures=figures)

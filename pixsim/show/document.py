@@ -89,7 +89,7 @@ class Listed(DocumentRecord):
 
 
 @dataclass(frozen=True)
-class Table(DocumentRecord):
+class DocumentTable(DocumentRecord):
     """Rows of text; the first column names them.
 
     A row of one cell is the heading of those below it. The last cell of another short row takes the columns that are left.
@@ -114,7 +114,7 @@ class Table(DocumentRecord):
 class Beside:
     """Small tables side by side."""
 
-    tables: tuple[Table, ...]
+    tables: tuple[DocumentTable, ...]
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,7 @@ class Section(DocumentRecord):
 
 
 Block: TypeAlias = (
-    Text | Answer | Fact | Note | Listed | Table | Beside | Plot | Pictures | Tiles | DeltaEScale | Map | Slider | Section
+    Text | Answer | Fact | Note | Listed | DocumentTable | Beside | Plot | Pictures | Tiles | DeltaEScale | Map | Slider | Section
 )
 
 
@@ -271,12 +271,12 @@ def _plots(blocks: Iterable[Block]) -> Iterator[Plot]:
             yield from _plots(block.blocks)
 
 
-def pairs(caption: str, values: Mapping[str, Any], form: str = "") -> Table:
+def pairs(caption: str, values: Mapping[str, Any], form: str = "") -> DocumentTable:
     """Return a table of names and values, in the form of `format`."""
-    return Table(caption, (), tuple((name, format(value, form)) for name, value in values.items()), caption)
+    return DocumentTable(caption, (), tuple((name, format(value, form)) for name, value in values.items()), caption)
 
 
-def made_with(*others: Table) -> Beside:
+def made_with(*others: DocumentTable) -> Beside:
     """Return the versions of the packages that made a result, beside other small tables."""
     return Beside((*others, pairs("versions", versions())))
 

@@ -21,6 +21,7 @@ from pixsim.show.document import (
     Answer,
     Block,
     Document,
+    DocumentTable,
     Fact,
     Link,
     Listed,
@@ -28,7 +29,6 @@ from pixsim.show.document import (
     Plot,
     Section,
     Strong,
-    Table,
     Text,
     VerdictText,
     joined,
@@ -75,7 +75,7 @@ def lines(block: Block, width: int = WIDTH, before: str = BELOW) -> Iterator[str
             yield f"note: {block.text}"
         case Listed():
             yield from (BELOW + plain_text(item) for item in block.items)
-        case Table():
+        case DocumentTable():
             yield from _table_lines(block, width, before)
         case Section():
             yield from ("", *(line for each in block.blocks for line in lines(each, width)))
@@ -83,7 +83,7 @@ def lines(block: Block, width: int = WIDTH, before: str = BELOW) -> Iterator[str
             yield plain_text(block)
 
 
-def _table_lines(table: Table, width: int, before: str) -> Iterator[str]:
+def _table_lines(table: DocumentTable, width: int, before: str) -> Iterator[str]:
     """Yield a table in columns as wide as their longest cell; where that is too wide, those of words are wrapped."""
     heads = zip(*(cell.split("\n") for cell in table.head), strict=True)
     room = len(tuple(table.head)) - table.wide or None

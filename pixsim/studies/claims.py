@@ -21,12 +21,12 @@ from pixsim.sensor.integration import pixels_on
 from pixsim.sensor.pixel import derive, fill_factor_law
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.technology import Technology, with_fill_factor_law
-from pixsim.studies.cases import BASE, of_technology
+from pixsim.studies.design import BASE, of_technology
 from pixsim.studies.engine import Workers, results_of
-from pixsim.studies.pixels import technology_of
 from pixsim.studies.result import CasesResult, Curve, StudyResult
 from pixsim.studies.sentences import interval_words
-from pixsim.studies.study_settings import Study
+from pixsim.studies.settings import Study
+from pixsim.studies.sizes import technology_of
 from pixsim.viewer.display import picture_size_um
 
 # Figure 2 of Chen, Catrysse, El Gamal and Wandell (2000).
@@ -221,7 +221,7 @@ def findings_of_cases(parts: Sequence[StudyResult], workers: Workers, progress: 
     The rows of the paper's process are computed once for cases that differ in other processes only.
     """
     keys = [
-        content_hash([of_technology(part.study, REFERENCE_TECHNOLOGY), part.series[REFERENCE_TECHNOLOGY].fingerprints.imaging])
+        content_hash([of_technology(part.study, REFERENCE_TECHNOLOGY), part.sensors[REFERENCE_TECHNOLOGY].fingerprints.imaging])
         if REFERENCE_TECHNOLOGY in part.study.technologies
         else ""
         for part in parts

@@ -15,8 +15,8 @@ from pixsim.scene.plan import Plan
 from pixsim.sensor.integration import pixels_on
 from pixsim.show.sentences import duration
 from pixsim.studies.engine import workers_here
-from pixsim.studies.sampling import BYTES_PER_PIXEL, study_pitches_um
-from pixsim.studies.study_settings import Study
+from pixsim.studies.settings import Study
+from pixsim.studies.sizes import BYTES_PER_PIXEL, study_pitches_um
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.scene_light import SCENE_CACHE_BYTES
 
@@ -143,13 +143,20 @@ def run_cost(plan: Plan | None, shape: tuple[int, int], cores: int, evaluations:
 
 
 def study_cost(
-    cases: Sequence[tuple[Study, Camera]], lights: int, plan: Plan, shape: tuple[int, int], jobs: int | None = None, types: int = 0
+    cases: Sequence[tuple[Study, Camera]],
+    lights: int,
+    plan: Plan,
+    shape: tuple[int, int],
+    jobs: int | None = None,
+    types: int = 0,
+    checked: int = 0,
 ) -> Cost:
     """Estimate a study with its cases and its report, without further rounds for a target interval.
 
     lights : that are rendered for them; the memory holds one of them, and some behind the lens
     plan, shape : of the first one, and (H, W) of its film
     types : of sensors for each case, beside the study itself
+    checked : evaluations of its frames on further displays
     """
     known: dict[Any, list[FrameCost]] = {}
     frames = [_frame_costs(study, camera, known) for study, camera in cases]
@@ -162,6 +169,7 @@ def study_cost(
         of_types = types * MOST_EVALUATIONS * len(study.technologies)
         evaluations += study.repeats * len(of_case) + of_types
         frames_s += study.repeats * one_sensor_s + of_types * one_sensor_s / len(of_case)
+    evaluations, frames_s = evaluations + checked, frames_s * (1 + checked / evaluations)
     curves = sum(len(study.technologies) for study, _ in cases)
     renders_s = lights * render_seconds(plan, shape, workers_here().jobs)
     seconds = START_S + PAGE_S + renders_s + frames_s / jobs + CURVE_S * min(curves, MOST_CURVES)

@@ -27,14 +27,13 @@ from pixsim.sensor.motion_options import STILL
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import integration_time_s
-from pixsim.studies.cases import Case
+from pixsim.studies.design import Case
 from pixsim.studies.engine import Workers, results_of, workers_here
 from pixsim.studies.film_error import FilmError, display_of, measure_film, measured_places
 from pixsim.studies.keys import OF_LIGHT, light_hash
-from pixsim.studies.pixels import physics_of
-from pixsim.studies.preparation import first_film, plan_of, study_plan
-from pixsim.studies.sampling import imaging_of, largest_pixel_um, study_pitches_um
-from pixsim.studies.study_settings import Study
+from pixsim.studies.prepare import first_film, plan_of, study_plan
+from pixsim.studies.settings import Study
+from pixsim.studies.sizes import imaging_of, largest_pixel_um, physics_of, study_pitches_um
 from pixsim.viewer.chain import make_chain
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.imaging import Imaging
@@ -54,33 +53,23 @@ Render = Callable[[Scene, Plan], tuple[SpectralImage, RenderNoise]]
 
 @dataclass(frozen=True)
 class Light:
-    """The irradiance on a sensor, on the film that was chosen for it.
+    """The irradiance on a sensor, on the film that was chosen for it; or light that was given, and not rendered.
 
     camera : with which it was rendered
-    film : the error of its film
-    noise : of its render
+    film : the error of its film; None of light that was given
+    noise : of its render; None of light that was given
     without : irradiance of the scene without its target, if a metric asks for it
     """
 
     image: SpectralImage
     camera: Camera
-    film: FilmError
-    noise: RenderNoise
+    film: FilmError | None = None
+    noise: RenderNoise | None = None
     without: SpectralImage | None = None
 
 
 @dataclass(frozen=True)
-class GivenLight:
-    """Irradiance that was given, and not rendered. The fields are those of `Light`."""
-
-    image: SpectralImage
-    camera: Camera
-    film: None = None
-    without: SpectralImage | None = None
-
-
-@dataclass(frozen=True)
-class Demand:
+class LightRequest:
     """What some pixels ask of one light.
 
     scene, plan : of the first film, as for `render_on_film`
@@ -184,59 +173,59 @@ def delta_e_between(image: SpectralImage, other: SpectralImage, imaging: Imaging
     return float(np.mean(delta_e))
 
 
-def rendered_light(demand: Demand, progress: Progress | None = None) -> tuple[Light, Plan]:
+def rendered_light(request: LightRequest, progress: Progress | None = None) -> tuple[Light, Plan]:
     """Return the light that pixels ask for, within the limits of a command, by `render_on_film`; and the plan of its film.
 
     Warns of what the plan warns of. Raises AlikeChannelsError if the colours of none of the pixels can be told apart.
     """
-    scene, plan, settings = demand.scene, demand.plan, demand.settings
+    scene, plan, settings = request.scene, request.plan, request.settings
     for note in plan.warnings:
         warn(note)
     rendering = RENDERING_CHART if plan.exact else RENDERING
 
     def measure(image: SpectralImage, plan: Plan) -> FilmError:
         part = share_of(progress, rendering, 1.0, f", the error of a film of {image.shape[1]} samples across")
-        return demand.film_error(image, plan, progress=part)
+        return request.film_error(image, plan, progress=part)
 
     fixed = "set by --resolution" if settings.resolution else ""
-    render = partial(demand.render, progress=share_of(progress, 0.0, rendering))
+    render = partial(request.render, progress=share_of(progress, 0.0, rendering))
     light, last = render_on_film(
         scene,
-        demand.camera,
+        request.camera,
         plan,
         render=render,
-        plan_of=demand.plan_of,
+        plan_of=request.plan_of,
         measure=measure,
         fixed=fixed,
         max_seconds=settings.max_seconds,
         coarser=COARSER if settings.tolerance_delta_e is not None and not (fixed or "resolution" in scene.parameters) else 1,
     )
     if has_target(settings.metrics):
-        light = replace(light, without=without_target(demand, light.image.shape[1]))
+        light = replace(light, without=without_target(request, light.image.shape[1]))
     return light, last
 
 
-def without_target(demand: Demand, across: int) -> SpectralImage:
+def without_target(request: LightRequest, across: int) -> SpectralImage:
     """Return the irradiance of the scene without its target, on a film of so many samples across.
 
     Its samples are those of the scene with the target: where the pictures of a lit scene are the same, so is their noise.
 
     Raises PixsimError if the scene does not have the parameters that leave the target out.
     """
-    stated, name = demand.settings.metric.detectability.without, setting("metric.detectability.without")
+    stated, name = request.settings.metric.detectability.without, setting("metric.detectability.without")
     if isinstance(stated, str):
         from pixsim.scene.scene import load_scene
 
-        scene = load_scene(stated, variant=demand.scene.choice.variant)
+        scene = load_scene(stated, variant=request.scene.choice.variant)
     else:
-        known = demand.scene.names
+        known = request.scene.names
         if unknown := [each for each in stated if each not in known]:
-            got = f"{', '.join(unknown)}, which {demand.scene.path.name} does not have"
+            got = f"{', '.join(unknown)}, which {request.scene.path.name} does not have"
             hint = "Take the scene target, or state another scene without what is to be found."
             raise invalid(name, got, f"parameters of the scene ({', '.join(sorted(known))}), or a scene", hint)
-        scene = demand.scene.with_parameters(**stated)
+        scene = request.scene.with_parameters(**stated)
     scene = scene.with_resolution(across)
-    image, noise = demand.render(scene, demand.plan_of(scene))
+    image, noise = request.render(scene, request.plan_of(scene))
     if noise.relative > 0:
         warn(f"the light has render noise of {100 * noise.relative:.2g} %: what of it differs without the target counts as signal")
     return image
@@ -306,7 +295,7 @@ def render_on_film(
         return Light(image, camera, replace(film, limit=limit), noise), plan
 
 
-def demand_of(case: Case[Run] | Case[Study], *, full: bool = False) -> Demand:
+def light_request(case: Case[Run] | Case[Study], *, full: bool = False) -> LightRequest:
     """Return what the pixels of a case ask of its light.
 
     The noise is adequate for the largest pixel that a study allows, the least noisy one, and the film for the smallest photodiode.
@@ -317,13 +306,13 @@ def demand_of(case: Case[Run] | Case[Study], *, full: bool = False) -> Demand:
     scene, camera, study = case.scene, case.camera, case.settings
     if isinstance(study, Run):
         planned = partial(plan_of, camera=camera, settings=study, full=full)
-        return Demand(scene, planned(scene), planned, study, study.pixel, [Imaging.of(study, camera)])
+        return LightRequest(scene, planned(scene), planned, study, study.pixel, [Imaging.of(study, camera)])
     first = study.technologies[0]
     scene, plan = first_film(study, scene, camera)
     pitches_um = study_pitches_um(study, first).tolist() if study.options_of(first).colour is not None else []
     larger = [imaging_of(study, camera, first, pitch_um) for pitch_um in pitches_um]
     largest, of_film = physics_of(study, first, largest_pixel_um(study, first)), partial(study_plan, camera=camera, study=study)
-    return Demand(scene, plan, of_film, study, largest, measured_pixels(study, camera), larger)
+    return LightRequest(scene, plan, of_film, study, largest, measured_pixels(study, camera), larger)
 
 
 def render_for(case: Case[Study], progress: Progress | None = None, film: FilmError | None = None) -> Light:
@@ -331,14 +320,14 @@ def render_for(case: Case[Study], progress: Progress | None = None, film: FilmEr
 
     film : that was measured with more light, and takes the place of one of its own
     """
-    study, demand = case.settings, demand_of(case)
+    study, request = case.settings, light_request(case)
     try:
         if film is None:
-            light, _ = rendered_light(demand, progress)
+            light, _ = rendered_light(request, progress)
         else:
-            scene = demand.scene.with_resolution(film.shape[1])
-            image, noise = demand.render(scene, demand.plan_of(scene), progress=progress)
-            light = Light(image, demand.camera, film, noise)
+            scene = request.scene.with_resolution(film.shape[1])
+            image, noise = request.render(scene, request.plan_of(scene), progress=progress)
+            light = Light(image, request.camera, film, noise)
     except AlikeChannelsError as error:
         label = label_in(study.technologies[0], case.words)
         raise AlikeChannelsError(f"{label}: none of its pixel sizes is possible. {error}") from None
@@ -346,11 +335,11 @@ def render_for(case: Case[Study], progress: Progress | None = None, film: FilmEr
     return light
 
 
-def given_light(case: Case[Study], picture: SpectralImage) -> GivenLight:
+def given_light(case: Case[Study], picture: SpectralImage) -> Light:
     """Return the light of a case whose light is given, with the white that it is shown with."""
     study, image = case.settings, copy(picture)
     image.header = image.header | white_header(seen_by_all(study, image, case.camera))
-    return GivenLight(image, case.camera, without=case.without)
+    return Light(image, case.camera, without=case.without)
 
 
 def seen_by_all(study: Study, image: SpectralImage, camera: Camera) -> list[tuple[Imaging, SpectralImage]]:
@@ -366,9 +355,9 @@ def measured_pixels(study: Study, camera: Camera) -> list[Imaging]:
     return [imaging_of(study, camera, first, float(pitches_um[place])) for place in (0, pitches_um.size // 2, -1)]
 
 
-def lights_of_cases(
+def render_lights(
     cases: Sequence[Case[Study]], stage: Stage, workers: Workers, *, store: Callable[[SpectralImage], SpectralImage]
-) -> list[Light | GivenLight | str]:
+) -> list[Light | str]:
     """Return the light of each case; cases that differ in nothing that it depends on share one.
 
     In its place stands the reason why none of a case's pixel sizes is possible.
@@ -376,23 +365,25 @@ def lights_of_cases(
 
     store : returns an image that need not stay in memory, where there are several lights
     """
+    combinations = {case.group: case for case in reversed(cases)}
     if cases[0].picture is not None:
-        return [given_light(case, case.picture) for case in cases if case.picture is not None]
-    keys = [light_hash(case.settings) for case in cases]
+        given = {group: given_light(case, case.picture) for group, case in combinations.items() if case.picture is not None}
+        return [given[case.group] for case in cases]
+    keys = {group: light_hash(combinations[group].settings) for group in dict.fromkeys(case.group for case in cases)}
     different: dict[str, Case[Study]] = {}
-    for key, case in zip(keys, cases, strict=True):
-        different.setdefault(key, case)
+    for group, key in keys.items():
+        different.setdefault(key, combinations[group])
     lights: dict[str, Light | str] = {}
     if len(different) == 1:
-        lights = {keys[0]: _light_or_reason(cases[0], stage("render"))}
-    elif demand_of(cases[0]).plan.exact:
+        lights = {key: _light_or_reason(case, stage("render")) for key, case in different.items()}
+    elif light_request(cases[0]).plan.exact:
         # A worker of a cluster may lack files of the user's, or have others of the same name.
         here = workers if workers.client is None else workers_here()
         lights = _computed_lights(different, stage("render"), here, store)
     else:
         for key, case in different.items():
             lights[key] = _stored(_light_or_reason(case, stage(f"render {len(lights) + 1} of {len(different)}")), store)
-    return [lights[key] for key in keys]
+    return [lights[keys[case.group]] for case in cases]
 
 
 def _computed_lights(
@@ -414,7 +405,7 @@ def _computed_lights(
         tasks = [((key, cases[key], films.get(_all_but_luminance(cases[key]))), _nothing) for key in keys]
         for key, light in results_of(_render_task, tasks, workers):
             lights[key] = _stored(light, store)
-            if isinstance(light, Light) and light.film.largest_delta_e <= BY_FAR * min(light.film.tolerated_delta_e):
+            if isinstance(light, Light) and light.film and light.film.largest_delta_e <= BY_FAR * min(light.film.tolerated_delta_e):
                 films.setdefault(_all_but_luminance(cases[key]), light.film)
             progress(len(lights) / len(cases))
     return lights

@@ -1,26 +1,125 @@
-"""Figures of merit of a pixel in a study's light: MTF of each blur term, MTF50, minimum exposure for 30 dB."""
+"""What follows from light and pixels beside the frames: MTF, NEQ, noise budgets, light level, and what a picture shows."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from itertools import cycle
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.light.spectral import SpectralImage
+from pixsim.optics.camera import Camera
 from pixsim.optics.stack import aperture_side_um
-from pixsim.sensor.integration import M2_PER_UM2, collecting_area_um2, electrons_per_joule, illumination_of
+from pixsim.scene.charts import MAX_LP_PER_MM, csf_contrast, csf_frequency_on_sensor
+from pixsim.sensor.integration import M2_PER_UM2, collecting_area_um2, electrons_per_joule, illumination_of, pixels_along
 from pixsim.sensor.motion import velocity_um_per_s
 from pixsim.sensor.noise import signal_at_snr_e, variance_e2
 from pixsim.sensor.pixel import PixelPhysics
-from pixsim.studies.extent import csf_range_lp_per_mm
+from pixsim.show.figures import LOOKS, new_figure, own_style
+from pixsim.show.pages import Column, Plate
+from pixsim.show.sentences import span
+from pixsim.studies.axes import paths_of
+from pixsim.studies.settings import Study
+from pixsim.viewer.chain import ExpectedFrame, make_chain
+from pixsim.viewer.display import picture_size_um, white_light
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.mtf import mtf_terms, of_sensor
+from pixsim.viewer.noise_budget import NoiseBudget, noise_budget
+from pixsim.viewer.raw_metrics import INFORMATION, neq_along
+from pixsim.viewer.screen import HEADER_OF_WHITE, UNITS_OF_WHITE, WHITE_FROM
 
 if TYPE_CHECKING:
     from pixsim.studies.result import Curve, StudyResult
+    from pixsim.studies.run import RunResult
+
+Border = tuple[float, float]  # µm omitted above and below, and left and right, of the rendered picture
+NO_BORDER: Border = (0.0, 0.0)
+
+
+def extent(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> tuple[float, float, float, float]:
+    """Return left, right, bottom, top in mm on the sensor of a picture without its border, row 0 on top."""
+    height_um, width_um = picture_size_um(irradiance)
+    down_um, across_um = border_um
+    return 1e-3 * across_um, 1e-3 * (width_um - across_um), 1e-3 * (height_um - down_um), 1e-3 * down_um
+
+
+def csf_range_lp_per_mm(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> tuple[float, float] | None:
+    """Return the lowest and highest frequency of the CSF chart within a border; None for another scene."""
+    left, right, _, _ = extent(irradiance, border_um)
+    width_mm = extent(irradiance)[1]
+    frequency = csf_frequency_on_sensor(irradiance.header, width_mm)
+    return None if frequency is None else (float(frequency(left / width_mm)), float(frequency(right / width_mm)))
+
+
+def csf_contrasts(irradiance: SpectralImage, border_um: Border = NO_BORDER) -> tuple[float, float]:
+    """Return the contrast of the CSF chart at the top and at the bottom of a picture of it, within a border."""
+    _, _, bottom, top = extent(irradiance, border_um)
+    height_mm = extent(irradiance)[2]
+    return float(csf_contrast(top / height_mm)), float(csf_contrast(bottom / height_mm))
+
+
+def stated_end_lp_per_mm(header: Mapping[str, Any]) -> float | None:
+    """Return the highest frequency that a scene's parameters give the CSF chart; None if they state none.
+
+    header : of an irradiance
+    """
+    parameters = header.get("parameters")
+    return float(parameters[MAX_LP_PER_MM]) if isinstance(parameters, dict) and MAX_LP_PER_MM in parameters else None
+
+
+def moved_view(study: Study) -> list[str]:
+    """Return which of the display's dots and the chart's end an axis or a condition of a study sets, as dotted names."""
+    moved = {path for axis in study.axis for path in axis.paths} | {path for each in study.condition for path in paths_of(each.set)}
+    return [".".join(path) for path in (("display", "dots"), ("scene", "parameters", MAX_LP_PER_MM)) if path in moved]
+
+
+def columns_on(camera: Camera, pitch_um: float) -> int:
+    """Return the columns of pixels on the die. Raises PixsimError if not one pixel fits."""
+    return pixels_along(camera.die_um[1], pitch_um)
+
+
+class LightLevel(NamedTuple):
+    """What is shown as display white, its unit, source and spectrum, and the shortest and longest exposure time.
+
+    It is a luminance, or the radiance of light without one.
+    """
+
+    white: float
+    unit: str
+    white_from: str
+    white_spectrum: str
+    shortest_s: float
+    longest_s: float
+
+    @classmethod
+    def of(cls, irradiance: SpectralImage, display: Display, integration_s: Iterable[float]) -> LightLevel:
+        """Return the light level of a scored picture; the display's white takes precedence over the scene's."""
+        header, times_s = irradiance.header, np.array(list(integration_s), float)
+        stated = [name for name in UNITS_OF_WHITE if getattr(display, name)]
+        name = stated[0] if stated else next(each for each, entry in HEADER_OF_WHITE.items() if entry in header)
+        if stated:
+            white, source = getattr(display, name), f"display.{name}"
+        else:
+            white = header[HEADER_OF_WHITE[name]]
+            source = header.get("white_from", "the scene")
+            source += ", in the sensor's response" if source == WHITE_FROM else ""
+        return cls(
+            float(white), UNITS_OF_WHITE[name], source, white_light(irradiance)[1], float(times_s.min()), float(times_s.max())
+        )
+
+    @property
+    def exposure(self) -> str:
+        """Exposure time in ms, or its range."""
+        return span(1e3 * self.shortest_s, 1e3 * self.longest_s, ".3g", " ms")
+
+    def __str__(self) -> str:
+        return f"display white is {self.white:.4g} {self.unit} in the scene; exposed for {self.exposure}"
+
 
 MPE30_INTEGRATION_S = 0.030  # that of Figure 2 of Chen, Catrysse, El Gamal and Wandell (2000)
 
@@ -111,3 +210,87 @@ def sensitivity_e_per_lx_s_um2(result: StudyResult, physics: PixelPhysics) -> fl
     irradiance, spectrum = result.irradiance, result.irradiance.mean_spectrum()
     electrons = (electrons_per_joule(physics, irradiance) * spectrum).sum() * M2_PER_UM2
     return float(electrons / (irradiance.luminous_weight() * spectrum).sum())
+
+
+NEQ = "neq"  # name of the figure
+
+
+@dataclass(frozen=True)
+class Quanta:
+    """The NEQ of a sensor.
+
+    pitch_um : of its pixels
+    frequency_cy_per_mm : along an axis of the sensor, (n,)
+    neq_per_mm2 : there, (n,)
+    """
+
+    pitch_um: float
+    frequency_cy_per_mm: Array
+    neq_per_mm2: Array
+
+    @classmethod
+    def of(cls, frame: ExpectedFrame) -> Quanta:
+        """Return that of such frames."""
+        return cls(frame.physics.pitch_um, *neq_along(frame))
+
+
+def quanta_of_run(result: RunResult) -> dict[str, Quanta]:
+    """Return the NEQ of a run's sensor by its name; nothing without the metric information."""
+    if INFORMATION.name not in result.settings.metrics:
+        return {}
+    return {result.settings.pixel.technology: Quanta.of(result.chain.expected(result.score.frame.integration_s))}
+
+
+def quanta_of_study(result: StudyResult) -> dict[str, Quanta]:
+    """Return the NEQ of each sensor of a study, at its best size by information, by its label; nothing without that metric."""
+    found: dict[str, Quanta] = {}
+    for curve in result.curves if INFORMATION.name in result.study.metrics else ():
+        lit = result.sensors[curve.technology]
+        best = curve.optima.get(INFORMATION.name, curve.optimum)
+        chain = make_chain(lit.imaging.at(best.pitch_um).registered(0), lit.light())
+        found[curve.label] = Quanta.of(chain.expected(chain.integration_s))
+    return found
+
+
+@own_style()
+def neq_against_frequency(quanta: Mapping[str, Quanta]) -> Plate:
+    """Draw the NEQ of sensors, by their labels, up to their Nyquist frequencies."""
+    figure = new_figure(6.4, 3.6)
+    axes = figure.subplots()
+    table: dict[str, Column] = {"sensor": [], "pitch_um": [], "frequency_cy_per_mm": [], "neq_per_mm2": []}
+    for (label, each), look in zip(quanta.items(), cycle(LOOKS), strict=False):
+        axes.plot(each.frequency_cy_per_mm, each.neq_per_mm2, lw=1.5, label=f"{label}, {each.pitch_um:.3g} µm", **look.stroke)
+        count = each.frequency_cy_per_mm.size
+        columns = [label] * count, [each.pitch_um] * count, each.frequency_cy_per_mm.tolist(), each.neq_per_mm2.tolist()
+        for column, values in zip(table.values(), columns, strict=True):
+            column += values
+    axes.set(xlabel="frequency on the sensor (cy/mm)", ylabel="NEQ (mm⁻²)", xlim=(0, None))
+    if any((each.neq_per_mm2 > 0).any() for each in quanta.values()):
+        axes.set_yscale("log")
+    axes.grid(alpha=0.25)
+    axes.legend(frameon=False, fontsize=8)
+    caption = (
+        "Noise-equivalent quanta, mean² · MTF²/noise: the quanta that an ideal detector would need for the same ratio of signal to "
+        "noise at a frequency, along an axis up to the Nyquist frequency. Mean level and noise are those of the judge information; "
+        "aliases are not in it."
+    )
+    return Plate(NEQ, caption, figure, table)
+
+
+def noise_budgets(result: StudyResult) -> dict[str, NoiseBudget]:
+    """Return the noise budget of each curve of each case by its words, at the best of the sizes tried; empty where nobody asks.
+
+    It is that of the first sensor and its first frame, which are the same for all cases.
+    """
+    if not result.study.noise_budget:
+        return {}
+    budgets = {}
+    for case in result.cases:
+        for curve in case.curves:
+            pitch_um = float(curve.pitch_um[int(np.nanargmin(curve.mean()))])
+            lit = case.sensors[curve.technology]
+            chain = make_chain(lit.imaging.at(pitch_um).registered(0), lit.light())
+            budget = noise_budget(chain, case.irradiance, *lit.case.stream_at(pitch_um), 0)
+            budgets[f"{curve.label}, {pitch_um:.3g} µm"] = budget
+        case.scenes.clear()
+    return budgets

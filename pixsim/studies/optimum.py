@@ -44,6 +44,7 @@ from scipy.special import fdtrc, gammaincinv, stdtrit
 from pixsim.base.arguments import checks_fields
 from pixsim.base.arrays import Array
 from pixsim.sensor.quantities import Pitch
+from pixsim.viewer.metrics import Metric
 
 NO_VISIBLE_DELTA_E = 0.05  # of mean ΔE between two pixel sizes
 CONFIDENCE = 0.95
@@ -605,3 +606,56 @@ def mean_and_ci95(delta_e: Array) -> tuple[Array, Array]:
     """
     data = measured(np.arange(float(len(delta_e))), delta_e)
     return data.mean, data.ci95
+
+
+# --- optima of metrics ----------------------------------------------------------------------------------------------------
+
+FEWEST_SIZES = 3  # of a curve, whose smoothest form is a parabola
+
+
+def over_sensors(statistic: Callable[..., Array], values: Array) -> Array:
+    """Return a statistic over sensors without NaN, (pitches,), of values (pitches, sensors); NaN where all of them are."""
+    found = np.full(len(values), np.nan)
+    known = np.isfinite(values).any(axis=1)
+    if known.any():
+        found[known] = statistic(values[known], axis=1)
+    return found
+
+
+def mean_of_sensors(values: Array) -> Array:
+    """Return the mean over sensors without NaN, (pitches,), of values (pitches, sensors); NaN where all of them are."""
+    return over_sensors(np.nanmean, values)
+
+
+def told_pitches(metric: Metric, values: Array) -> NDArray[np.bool_]:
+    """Return which pitches, (P,), a fitted curve of a metric takes: those where no sensor has 0 or less of what more is better.
+
+    Of what is worth nothing at a pitch between others, these are the ones on the side of the best. A pitch without any number
+    is not taken either.
+
+    values : (P, sensors), NaN without a number
+    """
+    loss = metric.loss(values)
+    dead = (np.isfinite(values) & ~np.isfinite(loss)).any(axis=1)
+    told = np.isfinite(loss).any(axis=1) & ~dead
+    if told.any() and dead.any():
+        best = int(np.nanargmin(np.where(told, mean_of_sensors(loss), np.nan)))
+        at = np.flatnonzero(dead)
+        low, high = at[at < best].max(initial=-1), at[at > best].min(initial=len(values))
+        told &= (np.arange(len(values)) > low) & (np.arange(len(values)) < high)
+    return np.asarray(told)
+
+
+def fit_of_metric(metric: Metric, pitch_um: Array, values: Array, width_um: Widths) -> FittedCurve | None:
+    """Return the fitted curve of a metric's loss at its `told_pitches`; None if it tells no best size, or not of these values.
+
+    values : (pitches, sensors)
+    """
+    told = told_pitches(metric, values)
+    loss = metric.loss(values)[told]
+    if not metric.has_optimum or told.sum() < FEWEST_SIZES or np.isfinite(loss).sum() == told.sum() or not np.nanmin(loss) >= 0:
+        return None
+    fit = fit_curve(pitch_um[told], loss, width_um)
+    if metric.better == "less":
+        return fit
+    return replace(fit, optimum=replace(fit.optimum, is_of_reciprocal=True))

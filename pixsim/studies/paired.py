@@ -1,8 +1,10 @@
-"""The statistics of frames: the mean of values or of paired differences, its interval, and how probably it is above 0."""
+"""Pairs of frames: the mean of values or of paired differences, its interval, and how probably it is above 0."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.special import stdtr, stdtrit
@@ -10,11 +12,91 @@ from scipy.special import stdtr, stdtrit
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
+from pixsim.studies.table import Table
+from pixsim.viewer.metrics import DELTA_E, Metric
 
 CONFIDENCE = 0.95
 FEWEST_PAIRS = 2  # that have a scatter
 NORMAL_95 = 1.96
 NET_ORDER = 1.5  # of the error of evenly spread points, as a power of their number
+SENSOR, CONDITION = "technology", "condition"  # labels of a table
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """A number of two sensors in pairs of frames with the same seeds.
+
+    names : of the sensors, a and b
+    a, b : the number in each frame, (pairs,)
+    metric : whose number it is
+    """
+
+    names: tuple[str, str]
+    a: Array = field(repr=False)
+    b: Array = field(repr=False)
+    metric: Metric = field(default=DELTA_E, repr=False)
+
+    @property
+    def differences(self) -> Array:
+        """Number of b minus that of a, (pairs,)."""
+        return self.b - self.a
+
+    @property
+    def difference(self) -> float:
+        """Mean of the differences; of mean ΔE: above 0, a is better."""
+        return float(self.differences.mean())
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval of the expected difference, from the pairs of frames; errors of the light are not in it."""
+        return mean_interval(self.differences)[::2]
+
+    @property
+    def half_width(self) -> float:
+        """Half of the length of the interval."""
+        low, high = self.interval
+        return (high - low) / 2
+
+    @property
+    def probability_a_better(self) -> float:
+        """Probability that the expected number of a is better than that of b."""
+        sign = 1.0 if self.metric.better == "less" else -1.0
+        return probability_above_zero(sign * self.differences)
+
+
+def paired(table: Table, a: str, b: str, metric: Metric = DELTA_E, weights: Mapping[str, float] | None = None) -> Pairs:
+    """Return the numbers of two sensors by pairs of frames, which have all labels but the sensor, and the repeat in common.
+
+    table : rows of both sensors on one display
+    a, b : names of the sensors
+    weights : share of each condition, whose frames of one number are averaged; None without conditions
+
+    Raises PixsimError if a frame of one sensor lacks that of the other.
+    """
+    first, second = (weighted_frames(table.where(**{SENSOR: name}), metric, weights) for name in (a, b))
+    if not first or first.keys() != second.keys():
+        raise invalid("sensors", f"{a} and {b}, whose frames are not the same ones", "sensors with the same labels and repeats")
+    return Pairs((a, b), np.array(list(first.values())), np.array([second[place] for place in first]), metric)
+
+
+def weighted_frames(
+    table: Table, metric: Metric = DELTA_E, weights: Mapping[str, float] | None = None
+) -> dict[tuple[object, ...], float]:
+    """Return the number of each frame of a sensor, by its labels and its repeat.
+
+    Equal sensors of the conditions have equal random streams, so that the scatter of the weighted mean is that of its sensors.
+
+    weights : share of each condition; those of 0 do not count. None without conditions
+    """
+    frames: dict[tuple[object, ...], float] = {}
+    values = table.columns[metric.columns[0]].tolist()
+    for case, repeat, value in zip(table.case.tolist(), table.columns["repeat"].tolist(), values, strict=True):
+        labels = table.labels[case]
+        weight = 1.0 if weights is None else weights[str(labels[CONDITION])]
+        if weight:
+            place = *(label for name, label in labels.items() if name != SENSOR and (weights is None or name != CONDITION)), repeat
+            frames[place] = frames.get(place, 0.0) + weight * value
+    return frames
 
 
 @checks_arguments

@@ -1,16 +1,18 @@
-"""Regrets: how much worse a picture is, by a metric or in a condition, at the pixel size that is best by another one."""
+"""Regrets of metrics and of conditions: how much worse a picture is at the pixel size that is best by another one."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.show.document import Table
-from pixsim.show.sentences import interval, rounded
-from pixsim.studies.optimum import ROUNDING, FittedCurve, Optimum
+from pixsim.studies.optimum import ROUNDING, FittedCurve, Optimum, fit_of_metric
+from pixsim.studies.settings import Study
+from pixsim.studies.sizes import photodiode_widths_um
 from pixsim.viewer.metrics import Metric
 
 if TYPE_CHECKING:
@@ -81,31 +83,6 @@ class Regrets:
         rows = [[value if np.isfinite(value) else None for value in row] for row in self.matrix.tolist()]
         return {"names": [criterion.name for criterion in self.criteria], "regret": rows}
 
-    def tables(self) -> tuple[Table, Table]:
-        """Return the best sizes of the numbered criteria, and their regrets at the best size of each number."""
-        head = (f"{self.kind}\n", "best size\n(µm)", "95 %\ninterval", "between\nsizes (%)", "value\n")
-        matrix_head = ("regret in % at the best size of", *(str(number) for number, _ in enumerate(self.criteria, 1)))
-
-        rows, matrix_rows = [], []
-        for place, (criterion, regrets) in enumerate(zip(self.criteria, self.matrix.tolist(), strict=True)):
-            name = f"{place + 1} {criterion.name}"
-            best = criterion.optimum
-            between = f"{100 * best.between_sizes_share:.0f}"
-            rows.append((name, criterion.best_size(), interval(best.interval_um), between, criterion.metric.shown(best.value)))
-            matrix_rows.append((name, *("–" if column == place else percent(regret) for column, regret in enumerate(regrets))))
-
-        sizes = Table(f"best sizes of {self.label}", head, rows, f"{self.label}: best sizes", words=(0, 1, 2))
-        return sizes, Table(f"regrets of {self.label}", matrix_head, matrix_rows, f"{self.label}: regrets")
-
-
-def percent(regret: float) -> str:
-    """Return a regret in per cent, to two digits.
-
-    >>> percent(0.0123), percent(float("inf"))
-    ('1.2', '∞')
-    """
-    return rounded(100 * regret) if np.isfinite(regret) else "∞"
-
 
 def share_of_best(fit: FittedCurve) -> Array:
     """Return the least loss of a fitted curve over its loss at each of its pitches, (n,), at most 1.
@@ -132,3 +109,87 @@ def metric_regrets(curve: Curve) -> Regrets | None:
         return None
     by_metric = [curve.judged_by(name) for name in names]
     return Regrets(curve.label, "metric", tuple(criterion_of(each, each.metric.words) for each in by_metric))
+
+
+LEAST_PITCHES = 5  # that a curve is fitted to
+WEIGHTED = "weighted mean"
+
+
+def condition_regrets(study: Study, curves: Sequence[Curve]) -> list[Regrets]:
+    """Return the regrets of the conditions for each technology, combination of axes and metric; none without conditions.
+
+    A metric that tells a best size in all conditions counts. The last criterion is the weighted mean over the conditions, if
+    `weighted_fit` has one.
+    """
+    groups: dict[tuple[object, ...], list[Curve]] = {}
+    for curve in curves:
+        if curve.condition:
+            groups.setdefault((curve.technology, *curve.at.items(), curve.alone), []).append(curve)
+
+    total = sum(condition.weight for condition in study.condition)
+    weights = {condition.name: condition.weight / total for condition in study.condition}
+    regrets = []
+    for group in groups.values():
+        metrics = [group[0].metric.name, *(name for name in group[0].fits if all(name in curve.fits for curve in group))]
+        regrets += [_regrets(study, [curve.judged_by(metric) for curve in group], weights) for metric in metrics]
+    return regrets
+
+
+def _regrets(study: Study, curves: Sequence[Curve], weights: dict[str, float]) -> Regrets:
+    """Return the regrets of the conditions of some curves by their first metric."""
+    first = curves[0]
+    criteria = [criterion_of(curve, curve.condition, weights[curve.condition]) for curve in curves]
+    weighted = weighted_fit(study, curves, weights)
+    if weighted is not None:
+        criteria.append(Criterion(WEIGHTED, first.metric, weighted.optimum, weighted.pitch_um, share_of_best(weighted)))
+    label = first.label.removesuffix(f", {first.condition}")
+    if not first.metric.is_delta_e:
+        label += f", {first.metric.words}"
+    return Regrets(label, "condition", tuple(criteria), first.technology, first.at)
+
+
+def weighted_fit(study: Study, curves: Sequence[Curve], weights: dict[str, float]) -> FittedCurve | None:
+    """Return the fitted weighted mean of the curves' first metric; None if a condition of weight above 0 has no curve among them.
+
+    Also None with fewer than 5 sizes that all conditions share.
+    """
+    if not {curve.condition for curve in curves} >= {condition.name for condition in study.condition if condition.weight}:
+        return None
+    first = curves[0]
+    pitches_um, values = weighted_mean([(curve, weight) for curve in curves if (weight := weights[curve.condition])])
+    if pitches_um.size < LEAST_PITCHES:
+        return None
+    return fit_of_metric(first.metric, pitches_um, values, partial(photodiode_widths_um, study, first.technology))
+
+
+def weighted_mean(weighted: Sequence[tuple[Curve, float]]) -> tuple[Array, Array]:
+    """Return the pitches that all curves have, (P,), and the weighted mean of the first metric of each sensor there, (P, sensors).
+
+    Equal sensors of the conditions have equal random streams, so that the scatter of the mean is that of its sensors.
+    """
+    pitches_um = np.array(sorted(set.intersection(*(set(curve.pitch_um.tolist()) for curve, _ in weighted))))
+    values = [(curve.statistics[curve.metric.columns[0]], curve.pitch_um, weight) for curve, weight in weighted]
+    sensors = min(own.shape[1] for own, _, _ in values)
+    total = np.zeros((pitches_um.size, sensors))
+    for own, tried_um, weight in values:
+        total += weight * own[np.searchsorted(tried_um, pitches_um), :sensors]
+    return pitches_um, total
+
+
+def weighted_criterion(regrets: Regrets) -> Criterion | None:
+    """Return the criterion of the weighted mean over conditions; None if it has none."""
+    last = regrets.criteria[-1]
+    return last if last.weight is None else None
+
+
+def regrets_summary(regrets: Regrets) -> dict[str, Any]:
+    """Return the regrets of conditions as in summary.json."""
+    criteria = regrets.criteria
+    return {
+        "technology": regrets.technology,
+        "metric": criteria[0].metric.name,
+        **({"at": regrets.at} if regrets.at else {}),
+        "weights": [criterion.weight for criterion in criteria],
+        "optima": [criterion.optimum.of_metric() for criterion in criteria],
+        **regrets.as_dict(),
+    }

@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from itertools import cycle, islice
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pixsim.base.arguments import Count, Positive, checks_arguments, checks_fields
 from pixsim.base.arrays import Array, PositiveArray
-from pixsim.base.errors import invalid
+from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import told_apart
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
@@ -27,22 +27,32 @@ from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.sensor.quantities import Pitch
 from pixsim.sensor.technology import Technology, with_fill_factor_law
 from pixsim.show.figures import LOOKS, Look, literal, new_figure, own_style
-from pixsim.show.pages import Column, Plate, dataframe_of, rows_csv
+from pixsim.show.pages import Column, Plate
 from pixsim.show.render import cell_of
 from pixsim.show.sentences import few, sentence, settings_line, span
-from pixsim.studies.cases import BASE, case_words
-from pixsim.studies.displays import DisplayOptimum
-from pixsim.studies.evaluations import FEWEST_SIZES, Counts, TooFewSizesError, blocks_of, frames_of, task_of
+from pixsim.studies.design import BASE, Case, case_words
+from pixsim.studies.evaluate import Counts, LitCase, frames_of, lit_cases, task_of
 from pixsim.studies.film_error import FilmError
-from pixsim.studies.light_level import LightLevel
-from pixsim.studies.optimum import NO_VISIBLE_DELTA_E, FittedCurve, Optimum, Widths, fit_curve, mean_and_ci95
-from pixsim.studies.pixels import photodiode_widths_um, physics_of, technology_of
+from pixsim.studies.keys import REPEATS_PER_TASK
+from pixsim.studies.lights import Light
+from pixsim.studies.merit import LightLevel
+from pixsim.studies.optimum import (
+    FEWEST_SIZES,
+    NO_VISIBLE_DELTA_E,
+    FittedCurve,
+    Optimum,
+    fit_of_metric,
+    mean_and_ci95,
+    mean_of_sensors,
+    over_sensors,
+    told_pitches,
+)
+from pixsim.studies.prepare import cases_of_sensors
 from pixsim.studies.regret import metric_regrets
-from pixsim.studies.rows import Row
-from pixsim.studies.sampling import imaging_of, largest_lens_um
 from pixsim.studies.sentences import interval_words, optima_table, optimum_words
-from pixsim.studies.series import Series, scenes_of, series_of
-from pixsim.studies.study_settings import Study
+from pixsim.studies.settings import Study
+from pixsim.studies.sizes import DisplayOptimum, imaging_of, largest_lens_um, photodiode_widths_um, physics_of, technology_of
+from pixsim.studies.table import Table
 from pixsim.viewer.causes import causes_of
 from pixsim.viewer.dark_clip import clip_words, clips_dark, dark_clip
 from pixsim.viewer.develop_options import developed_words
@@ -58,6 +68,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from pandas import DataFrame
+
+
+class TooFewSizesError(PixsimError):
+    """Fewer pixel sizes of a case are possible than a curve needs."""
 
 
 FEW_ROWS = 64  # that tell which part of the pixels is full
@@ -80,7 +94,7 @@ class Curve:
     fresnel_number : (pitches,) of microlenses, below 1 where the model of their diffraction is doubtful; None without microlenses
     data_sheet : whether the sensor is described by its data sheet only, without a process
     light : errors of the light, the film's at the best of the pitches
-    at, condition, alone : of its case (`pixsim.studies.cases.Case`), in a study with axes or conditions
+    at, condition, alone : of its case (`pixsim.studies.design.Case`), in a study with axes or conditions
     left_out : pitches in µm that are not among them, each with the reason
     on_displays : optima with half and with twice the display's dots, of a data sheet's sensor
     from_smallest : whether the sizes begin with the smallest of the process, by its least fill factor
@@ -341,11 +355,12 @@ class StudyResult:
     irradiance : on the sensor plane, from which all frames are simulated
     camera : with which it was rendered
     film : error of the film of its irradiance
-    view : display and chart that pixsim chose for the sensor of a data sheet (`pixsim.studies.preparation.choose_view`)
+    view : display and chart that pixsim chose for the sensor of a data sheet (`pixsim.studies.prepare.choose_view`)
     settings_toml : text of settings.toml, from which `pixsim study` makes the same numbers again
     warned : warnings while it was computed
     uncertainty : for each curve a `pixsim.studies.uncertainty.UncertaintyResult`, if sensor types were asked for
-    lights : behind the lens, where they are prepared already
+    table : of all evaluations
+    lit : the sensors in their light, where it is prepared already
     without : irradiance of the scene without its target, if a metric asked for it
     """
 
@@ -358,7 +373,8 @@ class StudyResult:
     settings_toml: str = field(default="", repr=False)
     warned: tuple[str, ...] = ()
     uncertainty: tuple[Any, ...] = ()
-    lights: SceneCache | None = field(default=None, repr=False, compare=False)
+    table: Table | None = field(default=None, repr=False, compare=False)
+    lit: tuple[LitCase, ...] = field(default=(), repr=False, compare=False)
     without: SpectralImage | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
@@ -409,16 +425,19 @@ class StudyResult:
         return {name: technology_of(self.study, name) for name in self.study.technologies}
 
     @cached_property
+    def sensors(self) -> dict[str, LitCase]:
+        """Each sensor in its light by its name, of a study without axes and conditions."""
+        lit = self.lit
+        if not lit or lit[0].imaging.display != self.study.display:  # of a copy with another display
+            combination = Case(self.study, resolved=(self.irradiance, self.camera), without=self.without)
+            cases = list(cases_of_sensors(combination))
+            lit = tuple(lit_cases(cases, [Light(self.irradiance, self.camera, without=self.without)] * len(cases)))
+        return {sensor.case.sensor: sensor for sensor in lit}
+
+    @property
     def scenes(self) -> SceneCache:
         """The light behind the lens for each spectral response, stored for `scores`."""
-        if self.lights is not None and self.lights.display == self.study.display:  # not that of a copy with another display
-            return self.lights
-        return scenes_of(self.study, self.irradiance, self.camera, without=self.without)
-
-    @cached_property
-    def series(self) -> dict[str, Series]:
-        """The series of each technology."""
-        return {each.name: each for each in series_of(self.study, self.scenes)}
+        return next(iter(self.sensors.values())).scenes
 
     @property
     def cause_notes(self) -> list[str]:
@@ -485,11 +504,12 @@ class StudyResult:
         return self._scores(technology, pitch_um, repeats, shown=True)
 
     def _scores(self, technology: str, pitch_um: float, repeats: int | None, shown: bool = False) -> list[FrameScore]:
-        series = self.series[technology]
-        light, count = series.light(), self.sensors_at(technology, pitch_um) if repeats is None else repeats
+        lit = self.sensors[technology]
+        light, count = lit.light(), self.sensors_at(technology, pitch_um) if repeats is None else repeats
         scores: list[FrameScore] = []
-        for block, own in blocks_of(series, count):
-            frames = frames_of(task_of(series, series.imaging.at(pitch_um), block, {}), light, own, shown=shown)
+        for block, first in enumerate(range(0, count, REPEATS_PER_TASK)):
+            repeats_of_block = range(first, min(count, first + REPEATS_PER_TASK))
+            frames = frames_of(task_of(lit, lit.imaging.at(pitch_um), block, {}), light, repeats_of_block, shown=shown)
             scores += [chain.development.score(frame) for _, chain, frame, _ in frames]
         # Figures sum over the maps, for which float32 has too few digits.
         return [replace(score, delta_e=score.delta_e.astype(float)) for score in scores]
@@ -503,8 +523,9 @@ class StudyResult:
         technology : name or path as in `Study.technologies`
         part : cuts it out of the whole picture
         """
-        series = self.series[technology]
-        _, chain, frame, _ = next(frames_of(task_of(series, series.imaging.at(pitch_um), 0, {}), series.light(), [0], shown=True))
+        lit = self.sensors[technology]
+        task = task_of(lit, lit.imaging.at(pitch_um), 0, {})
+        _, chain, frame, _ = next(frames_of(task, lit.light(), [0], shown=True))
         return display_image(chain.development.light(frame, part), self.study.display)
 
     @checks_arguments
@@ -524,22 +545,14 @@ class StudyResult:
 
     @checks_arguments
     def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
-        """Return a row for each technology, pitch and sensor as CSV, and write it to `path` if given."""
-        rows = [
-            {"technology": curve.technology, "pitch_um": float(pitch_um), "repeat": repeat}
-            | curve.at
-            | ({"condition": curve.condition} if curve.condition else {})
-            | {"fill_factor": float(curve.fill_factor[place])}
-            | {name: float(values[place, repeat]) for name, values in curve.statistics.items()}
-            for curve in self.curves
-            for place, pitch_um in enumerate(curve.pitch_um)
-            for repeat in range(int(curve.sensors[place]))
-        ]
-        return rows_csv(rows, path)
+        """Return a row for each evaluation as CSV, and write it to `path` if given."""
+        assert self.table is not None
+        return self.table.to_csv(path)
 
     def to_dataframe(self) -> DataFrame:
         """Return the rows of `to_csv` as a pandas.DataFrame. Raises PixsimError without pandas."""
-        return dataframe_of(self.to_csv())
+        assert self.table is not None
+        return self.table.to_dataframe()
 
     def _repr_html_(self) -> str:
         camera, evaluations = self.camera, sum(int(curve.sensors.sum()) for curve in self.curves)
@@ -629,28 +642,26 @@ def _is_value(value: float | int | str, asked: float | int | str) -> bool:
     return value == asked or (not isinstance(value, str) and f"{value:.4g}" == str(asked))
 
 
-def causes_of_curve(series: Series, curve: Curve, lightness: tuple[float, float], rows: Sequence[Row]) -> tuple[Cause, ...]:
+def causes_of_curve(lit: LitCase, curve: Curve, lightness: tuple[float, float], table: Table) -> tuple[Cause, ...]:
     """Return the causes of the mean ΔE of a curve's best size tried, beside noise and blur, the largest first.
 
-    series : of the curve
+    lit : the case of the curve
     lightness : the ideal image's, lowest and highest
-    rows : of the curve
+    table : of the curve
     """
     best_um = float(curve.pitch_um[int(np.nanargmin(curve.mean()))])
-    at_best = islice((row for row in rows if float(row["pitch_um"]) == best_um), FEW_ROWS)
-    return causes_of_rows(series.scenes.irradiance, series.imaging.at(best_um), lightness, list(at_best))
+    at_best = np.flatnonzero(table.columns["pitch_um"] == best_um)[:FEW_ROWS]
+    return causes_of_frames(lit.scenes.irradiance, lit.imaging.at(best_um), lightness, table.take(at_best))
 
 
-def causes_of_rows(
-    image: SpectralImage, imaging: Imaging, lightness: tuple[float, float], rows: Sequence[Row]
-) -> tuple[Cause, ...]:
+def causes_of_frames(image: SpectralImage, imaging: Imaging, lightness: tuple[float, float], table: Table) -> tuple[Cause, ...]:
     """Return the causes of the mean ΔE of some frames of one pixel, beside noise and blur, the largest first.
 
     image, imaging : the light and the settings of the pixel
     lightness : the ideal image's, lowest and highest
-    rows : of the frames
+    table : of the frames
     """
-    time_s, saturated = (float(np.mean([float(row[name]) for row in rows])) for name in ("integration_s", "saturated_fraction"))
+    time_s, saturated = (float(np.mean(table.columns[name])) for name in ("integration_s", "saturated_fraction"))
     area_um2 = collecting_area_um2(image, imaging.camera, imaging.physics) * imaging.readout.bin_side**2
     return causes_of(
         imaging,
@@ -662,78 +673,52 @@ def causes_of_rows(
     )
 
 
-def over_sensors(statistic: Callable[..., Array], values: Array) -> Array:
-    """Return a statistic over sensors without NaN, (pitches,), of values (pitches, sensors); NaN where all of them are."""
-    found = np.full(len(values), np.nan)
-    known = np.isfinite(values).any(axis=1)
-    if known.any():
-        found[known] = statistic(values[known], axis=1)
-    return found
+def curve_of(
+    study: Study, technology: str, table: Table, metrics: tuple[Metric, ...] | None = None, label: str | None = None
+) -> Curve:
+    """Return the curve of one technology, with its optima, from its evaluations on one display.
 
+    metrics : of which there are optima, the first one that of the curve; None takes those of the table
+    label : of sensor and case, for messages
 
-def mean_of_sensors(values: Array) -> Array:
-    """Return the mean over sensors without NaN, (pitches,), of values (pitches, sensors); NaN where all of them are."""
-    return over_sensors(np.nanmean, values)
-
-
-def told_pitches(metric: Metric, values: Array) -> NDArray[np.bool_]:
-    """Return which pitches, (P,), a fitted curve of a metric takes: those where no sensor has 0 or less of what more is better.
-
-    Of what is worth nothing at a pitch between others, these are the ones on the side of the best. A pitch without any number
-    is not taken either.
-
-    values : (P, sensors), NaN without a number
+    Raises TooFewSizesError if too few pixel sizes are possible, or if the first of the metrics tells no best size.
     """
-    loss = metric.loss(values)
-    dead = (np.isfinite(values) & ~np.isfinite(loss)).any(axis=1)
-    told = np.isfinite(loss).any(axis=1) & ~dead
-    if told.any() and dead.any():
-        best = int(np.nanargmin(np.where(told, mean_of_sensors(loss), np.nan)))
-        at = np.flatnonzero(dead)
-        low, high = at[at < best].max(initial=-1), at[at > best].min(initial=len(values))
-        told &= (np.arange(len(values)) > low) & (np.arange(len(values)) < high)
-    return np.asarray(told)
+    metrics = metrics or table.metrics
+    left_out = {float(table.columns["pitch_um"][row]): reason for row, reason in table.impossible.items()}
+    undefined = {
+        (name, float(table.columns["pitch_um"][row])): reason
+        for row, reasons in table.undefined.items()
+        for name, reason in reasons.items()
+    }
+    possible = table.possible
+    pitches, place = np.unique(possible.columns["pitch_um"], return_inverse=True)
+    if left_out and pitches.size < FEWEST_SIZES:
+        got = f"{pitches.size} of {pitches.size + len(left_out)} pixel sizes are possible, and a curve needs {FEWEST_SIZES}"
+        raise TooFewSizesError(f"{label or label_of(technology)}: {got}. {left_out[max(left_out)]}")
 
-
-def fit_of_metric(metric: Metric, pitch_um: Array, values: Array, width_um: Widths) -> FittedCurve | None:
-    """Return the fitted curve of a metric's loss at its `told_pitches`; None if it tells no best size, or not of these values.
-
-    values : (pitches, sensors)
-    """
-    told = told_pitches(metric, values)
-    loss = metric.loss(values)[told]
-    if not metric.has_optimum or told.sum() < FEWEST_SIZES or np.isfinite(loss).sum() == told.sum() or not np.nanmin(loss) >= 0:
-        return None
-    fit = fit_curve(pitch_um[told], loss, width_um)
-    if metric.better == "less":
-        return fit
-    return replace(fit, optimum=replace(fit.optimum, is_of_reciprocal=True))
-
-
-def curve_of(study: Study, technology: str, rows: Sequence[Row], metrics: tuple[Metric, ...] = (DELTA_E,)) -> Curve:
-    """Return the curve of one technology, with its optima, from its rows.
-
-    Raises TooFewSizesError if the first of the metrics tells no best size.
-    """
-    names = ("pitch_um", "repeat", "fill_factor", "integration_s", *columns_of_metrics(metrics))
-    numbers_of = (float(row[name]) for row in rows for name in names)  # a million tables would not fit into memory
-    pitch_um, repeat, fill, *values = np.fromiter(numbers_of, float).reshape(-1, len(names)).T
-    pitches, place = np.unique(pitch_um, return_inverse=True)
-    which = place, repeat.astype(int)
-    statistics = {name: np.full((pitches.size, 1 + which[1].max()), np.nan) for name in names[3:]}
-    for numbers, of_rows in zip(statistics.values(), values, strict=True):
-        numbers[which] = of_rows
+    repeat = possible.columns["repeat"]
+    statistics = {}
+    for name in ("integration_s", *columns_of_metrics(metrics)):
+        values = np.full((pitches.size, 1 + repeat.max()), np.nan)
+        values[place, repeat] = possible.columns[name]
+        statistics[name] = values
     fill_factor = np.zeros(pitches.size)
-    fill_factor[place] = fill
+    fill_factor[place] = possible.columns["fill_factor"]
+
     width_um = partial(photodiode_widths_um, study, technology)
-    found = {each.name: fit_of_metric(each, pitches, statistics[each.columns[0]], width_um) for each in metrics}
-    of_variants = {name: fit_of_metric(each, pitches, statistics[name], width_um) for each in metrics for name in each.variants}
-    fit = found.pop(metrics[0].name)
+    fits = {metric.name: fit_of_metric(metric, pitches, statistics[metric.columns[0]], width_um) for metric in metrics}
+    variant_fits = {
+        name: fit_of_metric(metric, pitches, statistics[name], width_um) for metric in metrics for name in metric.variants
+    }
+    fit = fits.pop(metrics[0].name)
     if fit is None:
-        known = int(told_pitches(metrics[0], statistics[metrics[0].columns[0]]).sum())
-        got = f"'{metrics[0].name}' first, with values above 0 at {known} of {pitches.size} pixel sizes of {label_of(technology)}"
+        fittable = int(told_pitches(metrics[0], statistics[metrics[0].columns[0]]).sum())
+        got = (
+            f"'{metrics[0].name}' first, with values above 0 at {fittable} of {pitches.size} pixel sizes of {label_of(technology)}"
+        )
         hint = "Name another metric first."
-        raise TooFewSizesError(str(invalid("metrics", got, f"values above 0 at {FEWEST_SIZES} neighbouring sizes or more", hint)))
+        error = invalid("metrics", got, f"values above 0 at {FEWEST_SIZES} neighbouring sizes or more", hint)
+        raise TooFewSizesError(" ".join([str(error), *undefined.values()][:2]))
     process = technology_of(study, technology)
     return Curve(
         technology,
@@ -745,9 +730,11 @@ def curve_of(study: Study, technology: str, rows: Sequence[Row], metrics: tuple[
         data_sheet=process.name == NO_TECHNOLOGY,
         from_smallest=study.pitch.values_um is None and study.open_range_um[0] is None,
         metrics=metrics,
-        fits={name: each for name, each in found.items() if each is not None},
-        variant_fits={name: each for name, each in of_variants.items() if each is not None},
+        fits={name: fitted for name, fitted in fits.items() if fitted is not None},
+        variant_fits={name: fitted for name, fitted in variant_fits.items() if fitted is not None},
         developed=developed_words(study.develop, [study.options_of(technology)]),
+        left_out=tuple(left_out.items()),
+        lacking=tuple((*which, reason) for which, reason in undefined.items()),
     )
 
 

@@ -6,8 +6,9 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from pixsim.base.caller import setting
 from pixsim.base.errors import invalid
 from pixsim.base.notes import collected_notes, warn
 from pixsim.base.progress import Stage, no_stage, share_of, watched
+from pixsim.light.exr import reduced_to_fit, write_channels, write_exr
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.optics.exchange import camera_of_light, read_with_camera
@@ -27,33 +29,39 @@ from pixsim.scene.plan import Plan
 from pixsim.scene.scene import Scene
 from pixsim.sensor.integration import check_pixel_count, collecting_area_um2, pixels_on
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
+from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
 from pixsim.sensor.readout import Frame
 from pixsim.sensor.technology import Technology, load_technology
 from pixsim.show.document import pairs, plain_text
-from pixsim.show.pages import plain, rows_csv
+from pixsim.show.pages import plain
 from pixsim.show.render import cell_of
-from pixsim.studies.cases import Case, Job
-from pixsim.studies.lights import Demand, Light, demand_of, rendered_light
+from pixsim.studies.design import Case, Job
+from pixsim.studies.engine import Workers
+from pixsim.studies.evaluate import FirstFrame, LitCase, evaluate_points
+from pixsim.studies.files import scene_table
+from pixsim.studies.lights import Light, LightRequest, light_request, rendered_light
 from pixsim.studies.paired import mean_interval, spread_interval
-from pixsim.studies.preparation import check_metrics, choose_view, is_picture, loaded_scene, scene_with_view, with_view
+from pixsim.studies.prepare import check_metrics, choose_view, is_picture, loaded_scene, scene_with_view, with_view
 from pixsim.studies.sentences import run_answers
-from pixsim.studies.series import metrics_of
-from pixsim.studies.settings_text import scene_table
+from pixsim.studies.sizes import metrics_of
+from pixsim.studies.store import Store
+from pixsim.studies.table import Table
 from pixsim.studies.threshold import Threshold, start_of, threshold_of
 from pixsim.viewer.causes import causes_of, lightness_range
-from pixsim.viewer.chain import ImagingChain, make_chain
+from pixsim.viewer.chain import ImagingChain
+from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.dark_clip import clip_words, clips_dark, dark_clip
 from pixsim.viewer.develop_options import of_python
 from pixsim.viewer.display import dot_edges_um, white_light, white_rate
-from pixsim.viewer.evaluate import evaluate_frame, reviewed_chain
+from pixsim.viewer.evaluate import reviewed
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.light_error import Cause, LightError
 from pixsim.viewer.metric_registry import metrics_named, names_of
-from pixsim.viewer.metrics import DELTA_E
+from pixsim.viewer.metrics import DELTA_E, NoNumberError, columns_with_numbers
 from pixsim.viewer.noise_budget import NoiseBudget, noise_budget
-from pixsim.viewer.scene_light import PreparedScene, SceneLight, prepare_scene
+from pixsim.viewer.scene_light import PreparedScene, SceneCache, SceneLight, prepare_scene, registered_in
 from pixsim.viewer.score import FrameScore, Score
-from pixsim.viewer.screen import white_header
+from pixsim.viewer.screen import warn_of_clipping, white_header
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
 from pixsim.viewer.without_effect import GivenSettings, warn_of_settings_without_effect
@@ -63,7 +71,7 @@ if TYPE_CHECKING:
 
 MAX_FRAMES = 999  # the numbers in the names of their files have three digits
 MAX_REPEATS = 10_000
-NOISE_SENSORS = 4  # at the first sensor's registration, whose scatter is that of the noise
+NOISE_SENSORS = 4  # at the first sensor's registration, with it, whose scatter is that of the noise
 BEFORE_FRAME = 0.8  # of the work of "sense and score"
 LIGHT_FILE = "light.exr"  # of light that was in memory, once it is written
 
@@ -91,9 +99,9 @@ class RunJob(Job[Run]):
     units: str | None = None
 
     @cached_property
-    def demand(self) -> Demand:
+    def request(self) -> LightRequest:
         """What the pixel asks of the scene's light."""
-        return demand_of(self.cases[0], full=self.full)
+        return light_request(self.cases[0], full=self.full)
 
     @property
     def technology(self) -> Technology:
@@ -173,10 +181,22 @@ def prepare(
     of_sheet = settings.pixel.technology == NO_TECHNOLOGY
     view = choose_view(pitch_um, camera, settings.display, scene) if of_sheet else {}
     check_pixel_count(pixels_on(camera.die_um, pitch_um), pitch_um)
-    dot_edges_um(camera.die_um, pitch_um, settings.display, Imaging.of(settings, camera).scored_border_um)
+    border_um = Imaging.of(settings, camera).scored_border_um
+    dot_edges_um(camera.die_um, pitch_um, settings.display, border_um)
     complete = with_view(settings, view).model_copy(update={"camera": whole.options})
     seen = known if scene is None else scene_with_view(scene, view)
-    case = Case(complete, found=(seen, camera), without=without)
+    with_delta_e = complete.model_copy(update={"metrics": tuple(dict.fromkeys((DELTA_E.name, *complete.metrics)))})
+    imaging = Imaging.of(complete, camera).changed(border_um=border_um, metrics=metrics_of(with_delta_e), full=full, is_run=True)
+    case = Case(
+        complete,
+        sensor=imaging.technology.name,
+        resolved=(seen, camera),
+        without=without,
+        imaging=imaging,
+        stream=("evaluate", settings.seed),
+        stream_has_pitch=False,
+        sizes={pitch_um: repeats},
+    )
     job = RunJob(
         source=source,
         asked=settings,
@@ -190,7 +210,7 @@ def prepare(
         units=units,
     )
     if scene is not None:
-        job.demand  # noqa: B018 – raises an error if the scene has no plan
+        job.request  # noqa: B018 – raises an error if the scene has no plan
     return job
 
 
@@ -218,16 +238,34 @@ class RunResult(LitRun):
     warned : warnings meanwhile
     chain : from the light to frames and scores of further sensors of the kind
     score : of the first frame of the first sensor, with its pictures
-    statistics : `Score.statistics` of the first frame of each sensor
-    statistics_at_first : the same of `NOISE_SENSORS` sensors at the first one's registration; empty if all sensors have it
+    table : of the first frame of each sensor
+    table_at_first : the same of further sensors at the first one's registration; None if all sensors have it
+    keys : of the rows of the table, hashes of all that they depend on
     threshold : where the target is just seen, if the settings ask for it
     """
 
     chain: ImagingChain = field(repr=False)
     score: FrameScore = field(repr=False)
-    statistics: tuple[dict[str, float], ...] = field(repr=False)
-    statistics_at_first: tuple[dict[str, float], ...] = field(default=(), repr=False)
+    table: Table | None = field(default=None, repr=False)
+    table_at_first: Table | None = field(default=None, repr=False)
+    keys: tuple[str, ...] = field(default=(), repr=False)
     threshold: Threshold | None = field(default=None, repr=False)
+
+    @cached_property
+    def statistics(self) -> tuple[dict[str, float], ...]:
+        """Numbers of the pixel, the frame and the metrics, of the first frame of each sensor."""
+        first = self.score.statistics()
+        assert self.table is not None
+        rows = ({name: row[name] for name in first if name in row} for row in self.table[1:])
+        return first, *rows
+
+    @property
+    def results_csv(self) -> str:
+        """The table as results.csv has it."""
+        assert self.table is not None
+        store = Store(None, (), self.table.metrics)
+        names = ("technology", "pitch_um", "repeat", *store.numbers)
+        return store.text((key, *(row[name] for name in names)) for key, row in zip(self.keys, self.table, strict=True))
 
     @property
     def settings(self) -> Run:
@@ -242,7 +280,8 @@ class RunResult(LitRun):
     @property
     def delta_e(self) -> Array:
         """Mean ΔE of each sensor, (sensors,)."""
-        return np.array([each["mean_delta_e"] for each in self.statistics])
+        assert self.table is not None
+        return np.asarray(self.table.columns["mean_delta_e"])
 
     @property
     def mean_delta_e(self) -> float:
@@ -260,7 +299,7 @@ class RunResult(LitRun):
     @property
     def is_spread(self) -> bool:
         """Whether the sensors' registrations are spread, so that intervals hold for all registrations and not for one."""
-        return bool(self.statistics_at_first)
+        return self.table_at_first is not None
 
     def interval(self, values: Array, column: str) -> tuple[float, float] | None:
         """Return the 95 % interval of the expectation of a number of the sensors; None of one sensor.
@@ -272,16 +311,18 @@ class RunResult(LitRun):
         """
         if values.size == 1:
             return None
-        if not self.is_spread:
+        if self.table_at_first is None:
             return mean_interval(values)[::2]
-        at_first = np.array([row[column] for row in self.statistics_at_first])
+        assert self.table is not None
+        at_first = np.append(self.table.columns[column][:1], self.table_at_first.columns[column])
         return spread_interval(values, at_first)[::2]
 
     @property
     def judged(self) -> dict[str, Array]:
         """Metrics beside ΔE by their names, of each sensor, (sensors,)."""
         others = [metric for metric in metrics_named(self.settings.metrics) if metric is not DELTA_E]
-        return {metric.name: np.array([each[metric.columns[0]] for each in self.statistics]) for metric in others}
+        assert self.table is not None
+        return {metric.name: np.asarray(self.table.columns[metric.columns[0]]) for metric in others}
 
     @cached_property
     def white_e(self) -> float:
@@ -312,7 +353,7 @@ class RunResult(LitRun):
     @property
     def film(self) -> dict[str, Any] | None:
         """The film and its error, as in score.json; None for light of another program."""
-        return None if self.rendered is None else self.rendered.film.as_dict()
+        return self.rendered.film.as_dict() if self.rendered and self.rendered.film else None
 
     @property
     def light(self) -> LightError:
@@ -375,11 +416,11 @@ class RunResult(LitRun):
         """
         prepared, settings, score = self.prepared, self.settings, self.score
         more: dict[str, Any] = {"chosen": {**prepared.view}}
-        if self.rendered is not None and self.plan is not None:
+        if self.rendered and self.rendered.noise and self.plan:
             more |= {"render_noise": asdict(self.rendered.noise), "plan": self.plan.as_dict(), "film": self.film}
             more |= {"window_mm": settings.window_mm} if settings.window_mm else {}
         if prepared.repeats > 1 and self.interval_delta_e is not None:
-            more |= {"repeats": len(self.statistics), "delta_e": self.delta_e.tolist(), "sensors_mean_delta_e": self.mean_delta_e}
+            more |= {"repeats": self.delta_e.size, "delta_e": self.delta_e.tolist(), "sensors_mean_delta_e": self.mean_delta_e}
             more |= {"interval_delta_e": list(self.interval_delta_e)}
         if self.judged:
             more["metrics"] = plain({name: float(values.mean()) for name, values in self.judged.items()})
@@ -421,8 +462,9 @@ class RunResult(LitRun):
 
     @checks_arguments
     def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
-        """Return a row of `statistics` for each sensor as CSV, and write it to `path` if given."""
-        return rows_csv([{"repeat": number} | own for number, own in enumerate(self.statistics)], path)
+        """Return a row for each sensor as CSV, and write it to `path` if given."""
+        assert self.table is not None
+        return self.table.to_csv(path)
 
     def _repr_html_(self) -> str:
         camera = self.camera
@@ -502,55 +544,122 @@ def light_run(prepared: RunJob, stage: Stage) -> LitRun:
     with collected_notes() as notes:
         image, rendered, plan = prepared.cases[0].picture, None, None
         if image is None:
-            rendered, plan = rendered_light(prepared.demand, stage("render"))
+            rendered, plan = rendered_light(prepared.request, stage("render"))
             image = rendered.image
         image.header |= white_header([(Imaging.of(prepared.settings, prepared.camera), image)])
     return LitRun(prepared, image, rendered, plan, tuple(notes))
 
 
-def score_run(lit: LitRun, stage: Stage, prepare: Callable[[Imaging, SceneLight], PreparedScene] = prepare_scene) -> RunResult:
-    """Return the result of a run whose light is known.
+def score_run(
+    rendered_run: LitRun, stage: Stage, prepare: Callable[[Imaging, SceneLight], PreparedScene] = prepare_scene
+) -> RunResult:
+    """Return the result of a run whose light is known: its case, a design of one, evaluated with its pictures.
 
     prepare : as `prepare_scene`, which may know what that did before
     """
-    prepared, image, settings = lit.prepared, lit.irradiance, lit.prepared.settings
+    job, image, settings = rendered_run.prepared, rendered_run.irradiance, rendered_run.prepared.settings
+    case, light = job.cases[0], rendered_run.rendered
     with collected_notes() as notes:
         scored = stage("sense and score")
-        imaging = Imaging.of(settings, prepared.camera).changed(metrics=metrics_of(settings), full=prepared.full, is_run=True)
-        background = prepared.cases[0].without if lit.rendered is None else lit.rendered.without
+        background = case.without if light is None else light.without
         with watched(share_of(scored, 0.0, BEFORE_FRAME)):
-            chain = reviewed_chain(imaging, SceneLight(image, background), prepare=prepare)
-        scored(BEFORE_FRAME)
-        lacking: dict[str, str] = {}
-        score = evaluate_frame(chain, ("evaluate", settings.seed), lacking)
-        statistics, at_first = [score.statistics()], [score.statistics()]
-        sensors = prepared.repeats
-        imaging, scene = chain.imaging, chain.scene
-        assert scene is not None
-        is_spread = sensors > 1 and imaging.registered(1, scene.array_um) != imaging
-
-        for number in range(1, sensors):
-            registered = make_chain(imaging.registered(number, scene.array_um), scene) if is_spread else chain
-            statistics.append(evaluate_frame(registered, ("evaluate", settings.seed, number), lacking).statistics())
-            scored(BEFORE_FRAME + (1 - BEFORE_FRAME) * number / sensors)
-        if is_spread:
-            for number in range(1, NOISE_SENSORS):
-                key = "evaluate", settings.seed, "at the first registration", number
-                at_first.append(evaluate_frame(chain, key, lacking).statistics())
-        for reason in lacking.values():
+            lit = lit_run(case, SceneLight(image, background), prepare)
+        first: list[FirstFrame] = []
+        evaluating = share_of(scored, BEFORE_FRAME, 1.0)
+        table = evaluate_points([lit], None, progress=lambda: evaluating, first=first)
+        for reason in table.impossible.values():
+            raise AlikeChannelsError(reason)
+        chain_of_first, judged = first[0]
+        score = with_metrics(judged.score, settings.metrics, table)
+        for reason in dict.fromkeys(table.reasons.values()):
             warn(reason)
-    warned = tuple(dict.fromkeys([*lit.warned, *notes]))
-    of_run = prepared, image, lit.rendered, lit.plan, warned
+
+        at_first = None
+        if job.repeats > 1 and registered_in(lit.imaging, lit.light(), 1) != lit.imaging:
+            at_first = evaluate_points(sensors_at_first(lit), None, Workers())
+    warned = tuple(dict.fromkeys([*rendered_run.warned, *notes]))
     threshold = None
-    if lit.rendered is not None and start_of(settings, prepared.cases[0].scene) is not None:
-        of_target = prepared.demand, lit.rendered, statistics[0]["detectability"]
-        threshold = threshold_of(prepared, *of_target, stage("look for the threshold"))
+    if light is not None and start_of(settings, case.scene) is not None:
+        d_prime = float(table.columns["detectability"][0])
+        threshold = threshold_of(job, job.request, light, d_prime, stage("look for the threshold"))
     result = RunResult(
-        *of_run,
-        chain=chain,
+        *(job, image, light, rendered_run.plan, warned),
+        chain=chain_of_first,
         score=score,
-        statistics=tuple(statistics),
-        statistics_at_first=tuple(at_first) if is_spread else (),
+        table=table,
+        table_at_first=at_first,
+        keys=tuple(lit.fingerprints.keys(settings.pixel.pitch_um, job.repeats)),
         threshold=threshold,
     )
     return replace(result, score=replace(score, light=result.light))
+
+
+def lit_run(case: Case[Run], light: SceneLight, prepare: Callable[[Imaging, SceneLight], PreparedScene]) -> LitCase:
+    """Return the case of a run in its light, with the white that the light says.
+
+    prepare : as `prepare_scene`
+
+    Warns for each note of the review, and of what the display clips.
+    """
+    assert case.imaging is not None
+    imaging = reviewed(case.imaging, light)
+    prepared = prepare(imaging, light)
+    warn_of_clipping(prepared.beyond_white, light.irradiance.header, imaging.display)
+    return LitCase(replace(case, imaging=imaging), SceneCache(imaging, light), prepared)
+
+
+def sensors_at_first(lit: LitCase) -> list[LitCase]:
+    """Return further sensors at the registration of the first one, each a case of its own."""
+    case = lit.case
+    streams = [(*case.stream, "at the first registration", number) for number in range(1, NOISE_SENSORS)]
+    cases = [replace(case, stream=stream, group=number) for number, stream in enumerate(streams)]
+    return [replace(lit, case=replace(each, sizes=dict.fromkeys(case.sizes, 1))) for each in cases]
+
+
+def with_metrics(score: FrameScore, names: Sequence[str], table: Table) -> FrameScore:
+    """Return the score of a run's first frame with the numbers of its metrics, of the first row of the table.
+
+    names : of the metrics that were asked for
+
+    Raises NoNumberError if none of them has a number.
+    """
+    undefined = table.undefined.get(0, {})
+    if undefined and set(names) <= undefined.keys():
+        raise NoNumberError(next(iter(undefined.values())))
+    numbers = {name: float(values[0]) for name, values in table.columns.items()}
+    others = [metric for metric in metrics_named(names) if metric is not DELTA_E]
+    further = {name: numbers[name] for name in columns_with_numbers(others, numbers)}
+    first = {metric.name: further.get(metric.columns[0], score.mean_delta_e) for metric in metrics_named(names)}
+    return replace(score, metrics=first, further=further)
+
+
+Irradiance = Literal["reduced", "full", "factors", "none"]  # what irradiance.exr holds
+
+
+def check_raw(settings: Run, suffixes: Sequence[str]) -> None:
+    """Raise PixsimError for raw frames of too many bits for their format."""
+    bits = (settings.exposure.frames * (2**settings.pixel.bits - 1)).bit_length()
+    if bits > BITS_OF_PICTURES and {".tiff", ".png"} & set(suffixes):
+        got = f"tiff or png for frames of {bits} bits"
+        raise invalid("--raw", got, f"at most {BITS_OF_PICTURES} bits; use npz for more")
+
+
+def write_irradiance(path: Path, image: SpectralImage, irradiance: Irradiance) -> None:
+    """Write the light of a run as EXR: whole, its factors only, or bands of at most 1024 samples across and 60 MB."""
+    write_exr(path, reduced_to_fit(image) if irradiance == "reduced" else image, factors_only=irradiance == "factors")
+
+
+def write_numbers(
+    result: RunResult, folder: Path, name_of: Callable[[int], str], suffixes: Sequence[str], frame_done: Callable[[int], object]
+) -> None:
+    """Write delta_e.exr and the raw frames of a run.
+
+    name_of : returns the name of a frame's file, without its suffix
+    suffixes : of the formats
+    frame_done : called with the number of frames written so far
+    """
+    write_channels(folder / "delta_e.exr", {"delta_e": result.score.delta_e}, {})
+    for number, frame in enumerate(chain([result.score.frame], result.further_frames()), 1):
+        for suffix in suffixes:
+            write_frame(folder / f"{name_of(number)}{suffix}", frame)
+        frame_done(number)

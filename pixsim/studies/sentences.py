@@ -10,17 +10,19 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from pixsim.base.caller import setting
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.notes import told_apart
 from pixsim.optics.camera import Camera
 from pixsim.scene.convergence import RENDER_NOISE, what_reaches
 from pixsim.sensor.stages import stage_words
-from pixsim.show.document import Answer, Block, Fact, Strong, Table, Text, has_room, headline, joined, plain_text
-from pixsim.show.sentences import few, interval, with_ends, with_error
-from pixsim.studies.extent import columns_on, moved_view, stated_end_lp_per_mm
+from pixsim.show.document import Answer, Block, DocumentTable, Fact, Strong, Text, has_room, headline, joined, plain_text
+from pixsim.show.sentences import few, interval, rounded, with_ends, with_error
+from pixsim.studies.merit import columns_on, moved_view, stated_end_lp_per_mm
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
-from pixsim.studies.regret import metric_regrets
+from pixsim.studies.regret import Regrets, metric_regrets
 from pixsim.viewer.causes import SATURATED_SHOWN
 from pixsim.viewer.develop_options import developed_words
 from pixsim.viewer.display_options import Display
@@ -94,7 +96,7 @@ def _optimum_parts(curve: Curve) -> list[Text]:
     return [ends, f"the error is smallest at {size_um}, the end of the range ({interval}), {mean}", within]
 
 
-def optima_table(curves: Sequence[Curve]) -> Table:
+def optima_table(curves: Sequence[Curve]) -> DocumentTable:
     """Return the optimum of each curve, as a page and a notebook list them."""
     rows, partly = [], any(map(is_partly_filled, curves))
     by_delta_e = all(curve.judged_by_delta_e for curve in curves)
@@ -116,7 +118,7 @@ def optima_table(curves: Sequence[Curve]) -> Table:
         )
     value = "mean ΔE" if by_delta_e else curves[0].metrics[0].label
     head = ("pixel", "optimum (µm)", "95 % interval", "between sizes (%)", f"{value} (95 %)", "within 1 % of it", "within 2 %")
-    return Table("optima", (*head, *["fill factor (%)"] * partly), rows, words=None)
+    return DocumentTable("optima", (*head, *["fill factor (%)"] * partly), rows, words=None)
 
 
 def _least_words(curve: Curve, form: str, is_sure: bool) -> str:
@@ -197,7 +199,10 @@ def displays_words(curve: Curve) -> str:
         f"{each.optimum.pitch_um:.2g} µm on {each.dots} dots{'' if each.optimum.inside else ' (an end of the range of sizes)'}"
         for each in curve.on_displays
     ]
-    return f"the best size is {', '.join(words)}" if words else ""
+    low, high = (end if end is not None else limit for end, limit in zip(curve.optimum.interval_um, (0.0, math.inf), strict=True))
+    depends = any(not low <= each.optimum.pitch_um <= high for each in curve.on_displays)
+    found = "the best size depends on the display: it is" if depends else "the best size is"
+    return f"{found} {', '.join(words)}" if words else ""
 
 
 # --- how sure a mean ΔE is -------------------------------------------------------------------------------------------------------
@@ -321,7 +326,7 @@ def score_parts(result: RunResult) -> list[Text]:
         parts.insert(1, developed)
     shown = ", ".join(filter(None, (border, *run_view_words(result))))
     film = film_words(result.film) if result.film else result.light.unmeasured
-    noise = "" if result.rendered is None else noise_words(result.rendered.noise.fraction)
+    noise = noise_words(result.rendered.noise.fraction) if result.rendered and result.rendered.noise else ""
     return [*parts, "; ".join(filter(None, (shown, film, lens_words(result.camera), result.assumption, noise)))]
 
 
@@ -431,6 +436,7 @@ def contrast_words(result: StudyResult, curve: Curve) -> list[str]:
 
 def study_facts(result: StudyResult) -> list[Block]:
     """Return what follows the optima of a study: regrets, causes, errors of its light, what it depends on, how it is shown."""
+    pairs = pairs_at_best_sizes(result.curves)
     regrets = [metric_regrets(curve) for curve in result.curves[:MAX_REGRET_TABLES]]
     without = [
         f"{curve.label}: {metric.words} tells no best size, since it is 0 or below, or has no number, for too many sizes"
@@ -440,6 +446,57 @@ def study_facts(result: StudyResult) -> list[Block]:
     ]
     contrasts = [words for curve in result.curves for words in contrast_words(result, curve)]
     light, view = study_light_words(result), study_view_words(result)
-    words = [without, contrasts, result.cause_notes, study_unconverged(result), light, view]
-    tables = [table for metrics_regrets in regrets if metrics_regrets for table in metrics_regrets.tables()]
+    words = [pairs, without, contrasts, result.cause_notes, study_unconverged(result), light, view]
+    tables = [table for metrics_regrets in regrets if metrics_regrets for table in regrets_tables(metrics_regrets)]
     return [*tables, *(Fact(text) for texts in words for text in texts)]
+
+
+MAX_PAIRS = 12  # of sensors that are named
+
+
+def pairs_at_best_sizes(curves: Sequence[Curve]) -> list[str]:
+    """Return a line for the first sensor of a study and each other one of the same case: which is better at its best size."""
+    lines = []
+    firsts: dict[str, Curve] = {}
+    for curve in curves:
+        first = firsts.setdefault(curve.words, curve)
+        if first is curve or first.metric != curve.metric:
+            continue
+        metric, best, other = curve.metric, first.optimum, curve.optimum
+        worse_by = float(metric.worse_by(other.value, best.value))
+        better, worse = (first, curve) if worse_by >= 0 else (curve, first)
+        halves = [(high - low) / 2 for low, high in (best.value_interval, other.value_interval)]
+        size = with_error(abs(worse_by), math.hypot(*halves))
+        unit = " ΔE" if metric.is_delta_e else f" {metric.unit}".rstrip()
+        if abs(worse_by) > math.hypot(*halves):
+            lines.append(f"{better.label} is better than {worse.plain_label}, each at its best size, by {size}{unit}")
+        else:
+            names = f"{first.label} and {curve.plain_label}"
+            lines.append(f"{names} cannot be told apart at their best sizes: {better.plain_label} is better by {size}{unit}")
+    return lines[:MAX_PAIRS]
+
+
+def regrets_tables(regrets: Regrets) -> tuple[DocumentTable, DocumentTable]:
+    """Return the best sizes of the numbered criteria, and their regrets at the best size of each number."""
+    head = (f"{regrets.kind}\n", "best size\n(µm)", "95 %\ninterval", "between\nsizes (%)", "value\n")
+    matrix_head = ("regret in % at the best size of", *(str(number) for number, _ in enumerate(regrets.criteria, 1)))
+
+    rows, matrix_rows = [], []
+    for place, (criterion, of_criterion) in enumerate(zip(regrets.criteria, regrets.matrix.tolist(), strict=True)):
+        name = f"{place + 1} {criterion.name}"
+        best = criterion.optimum
+        between = f"{100 * best.between_sizes_share:.0f}"
+        rows.append((name, criterion.best_size(), interval(best.interval_um), between, criterion.metric.shown(best.value)))
+        matrix_rows.append((name, *("–" if column == place else percent(regret) for column, regret in enumerate(of_criterion))))
+
+    sizes = DocumentTable(f"best sizes of {regrets.label}", head, rows, f"{regrets.label}: best sizes", words=(0, 1, 2))
+    return sizes, DocumentTable(f"regrets of {regrets.label}", matrix_head, matrix_rows, f"{regrets.label}: regrets")
+
+
+def percent(regret: float) -> str:
+    """Return a regret in per cent, to two digits.
+
+    >>> percent(0.0123), percent(float("inf"))
+    ('1.2', '∞')
+    """
+    return rounded(100 * regret) if np.isfinite(regret) else "∞"

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from pixsim.base.arguments import Jobs, checks_arguments
 from pixsim.base.caller import setting
@@ -16,37 +18,32 @@ from pixsim.base.files import output_folder
 from pixsim.base.layers import listed
 from pixsim.base.notes import collected_notes, warn
 from pixsim.base.progress import Progress, Stage, no_stage
-from pixsim.base.records import content_hash
 from pixsim.base.toml import SETTINGS_FILE
 from pixsim.light.spectral import DIGEST, SpectralImage
 from pixsim.light.stored import PictureFile
 from pixsim.optics.camera import Camera
 from pixsim.scene.packaged import packaged_scenes
-from pixsim.sensor.labels import label_in
 from pixsim.show.sentences import few
-from pixsim.studies.allocation import next_near_best, next_sensors, next_where_open
-from pixsim.studies.cases import Case, check_number
 from pixsim.studies.cost import jobs_in_memory, largest_frame_bytes
-from pixsim.studies.elsewhere import curves_on_displays
+from pixsim.studies.design import Case, check_number
 from pixsim.studies.engine import Workers, workers_for
-from pixsim.studies.evaluations import Counts, Evaluations, TooFewSizesError, check_ideals, ideal_facts, warn_of_stacks
-from pixsim.studies.lights import GivenLight, Light, lights_of_cases
-from pixsim.studies.preparation import StudyJob, prepare
+from pixsim.studies.evaluate import Counts, LitCase, check_ideals, evaluate_points, ideal_facts, lit_cases, warn_of_stacks
+from pixsim.studies.files import load_study, scene_table, settings_text, spreads_of_study, uncertainty_of
+from pixsim.studies.lights import Light, render_lights
+from pixsim.studies.prepare import StudyJob, prepare
 from pixsim.studies.result import CasesResult, Curve, StudyResult, causes_of_curve, curve_of
-from pixsim.studies.results_file import ResultsFile
-from pixsim.studies.rows import NO_ROWS
-from pixsim.studies.sampling import Sampling, Sizes, first_sampling, study_pitches_um
-from pixsim.studies.series import Series, metrics_of, most_channels, scenes_of, series_of
-from pixsim.studies.settings_text import scene_table, settings_text
-from pixsim.studies.study_file import load_study, spreads_of_study, uncertainty_of
-from pixsim.studies.study_settings import Study
+from pixsim.studies.rounds import Rounds, on_first_display
+from pixsim.studies.settings import Study
+from pixsim.studies.sizes import DisplayOptimum
+from pixsim.studies.store import check_replaceable_results
+from pixsim.studies.table import DOTS, Table
 from pixsim.viewer.metric_registry import names_of
-from pixsim.viewer.scene_light import SceneCache
+from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.score import Score
 from pixsim.viewer.screen import warn_of_clipping
 
 if TYPE_CHECKING:
-    from pixsim.studies.sensor_types import Asked
+    from pixsim.studies.drawn_types import Asked
 
 FEW_CASES = 64  # of a study whose curves with an open end get more sizes and sensors
 
@@ -73,7 +70,12 @@ def repeated_settings(job: StudyJob, image: SpectralImage, asked: Asked | None =
     }
     camera = scene.camera(kept.camera, kept.lens).options.model_dump(exclude_none=True)
     spreads = spreads_of_study(kept, job.uncertainty)
-    return settings_text(kept, repeating_command(job.variant, asked), spreads, scene=of_scene, camera=camera)
+    # Where dots and distance are stated, no further display is shown: one of them stays open if it was.
+    stated = job.asked.display.model_fields_set
+    is_open = any(case.others for case in job.cases)
+    left_open = {"dots" if "samples_per_deg" in stated else "samples_per_deg"} if is_open else set()
+    display = kept.display.model_dump(mode="json", exclude_none=True, exclude=left_open)
+    return settings_text(kept, repeating_command(job.variant, asked), spreads, scene=of_scene, camera=camera, display=display)
 
 
 def repeating_command(variant: str | None, asked: Asked | None = None) -> str:
@@ -85,163 +87,110 @@ def repeating_command(variant: str | None, asked: Asked | None = None) -> str:
     return f"{words} --{'sobol' if asked.total else 'uncertainty'} {asked.draws}{sizes}"
 
 
-def next_round(study: Study, curves: Sequence[Curve], sampling: Sampling, refine: bool = True) -> Sampling:
-    """Return the sampling after a round of additions to each curve; unchanged at a limit.
+def on_further_displays(study: Study, curve: Curve, table: Table) -> tuple[DisplayOptimum, ...]:
+    """Return the optima of a curve on the further displays of its case, from the first sensors of each size."""
+    if DOTS not in table.columns or not curve.judged_by_delta_e:
+        return ()
+    different = dict.fromkeys(table.columns[DOTS].tolist())
+    return tuple(
+        DisplayOptimum(dots, curve_of(study, curve.technology, table.where(dots=dots), (DELTA_E,)).optimum)
+        for dots in list(different)[1:]
+    )
 
-    A curve whose interval misses `target_ci_um` gets sizes and sensors where they narrow it most. Without a target, so does one
-    whose interval has an open end (`next_where_open`), and one whose interval is long for want of sizes near the best
-    (`next_near_best`), unless the sizes are a list of the user's.
 
-    refine : whether curves without a target may have additions
-
-    The choice depends on the curves alone, so it is the same on any workers and in a resumed study.
-    """
-    chosen = dict(sampling)
-    for curve in curves:
-        sensors = sampling[curve.technology]
-        told = {um: sensors[um] for um in curve.pitch_um[curve.told].tolist() if um in sensors}
-        sizes, most = len(study_pitches_um(study, curve.technology)), max(study.repeats, study.max_repeats)
-        if study.target_ci_um is None:
-            if not (refine and study.refine) or study.pitch.values_um is not None:
-                continue
-            more = next_where_open(curve.fit, told, sizes * study.repeats, most)
-            more = next_near_best(curve.fit, told, sizes) if more == told else more
-        elif curve.optimum.half_width_um <= study.target_ci_um:
-            continue
-        else:
-            more = next_sensors(curve.fit, told, most)
-        more = more if len(told) == len(sensors) else dict(sorted((sensors | more).items()))
-        if study.max_evaluations is None:
-            within = sum(more.values()) <= sizes * most
-        else:
-            evaluations = sum(sum(counts.values()) for counts in (chosen | {curve.technology: more}).values())
-            within = evaluations <= study.max_evaluations
-        if within:
-            chosen[curve.technology] = more
-    return chosen
+def on_their_films(lit: Sequence[tuple[Case[Study], Light]]) -> list[Case[Study]]:
+    """Return cases whose settings state the film of their light; those of a group share them."""
+    settings: dict[object, Study] = {}
+    for case, light in lit:
+        if case.group not in settings:
+            film = None if light.film is None else light.image.shape[1]
+            settings[case.group] = case.settings.model_copy(update={"resolution": film})
+    return [replace(case, settings=settings[case.group]) for case, _ in lit]
 
 
 def evaluate_cases(
     cases: Sequence[Case[Study]],
-    lights: Sequence[Light | GivenLight],
+    lights: Sequence[Light],
     view: Mapping[str, Any],
     results: Path,
     workers: Workers,
     progress: Callable[[], Progress | None],
-) -> tuple[list[StudyResult | str], Counts]:
+) -> tuple[list[StudyResult | str], Counts, Table]:
     """Evaluate missing rows of results.csv, add pitches and sensors until the target interval is met, and fit the optima.
 
-    Returns the result of each case, or the reason why too few of its pixel sizes are possible, and how much was computed.
+    Returns the result of each combination, or the reason why too few of its pixel sizes are possible, how much was computed,
+    and the table of all points.
     """
-    caches: dict[str, SceneCache] = {}
-    lit: list[SceneCache] = []
-    series: list[Series] = []
-    members: list[range] = []  # of each case, the numbers of its series
-    for case, light in zip(cases, lights, strict=True):
-        irradiance, camera = light.image, light.camera
-        # The header states everything that a render depends on, so that cases of other pixels may have equal ones.
-        of_light = [irradiance.header, irradiance.shape, irradiance.pitch_um, camera.model_dump()]
-        metrics = metrics_of(case.settings, case.settings.repeats)
-        of_light.append(None if light.without is None else light.without.header)
-        key = content_hash([*of_light, case.settings.display.content_hash, metrics.content, case.settings.develop.tone])
-        scenes = caches.setdefault(key, scenes_of(case.settings, irradiance, camera, without=light.without))
-        scenes.channels = max(scenes.channels, most_channels(case.settings))
-        lit.append(scenes)
-        of_case = series_of(case.settings, scenes, case.columns, case.words)
-        members.append(range(len(series), len(series) + len(of_case)))
-        series += of_case
-    under: dict[tuple[str, str], list[Series]] = {}  # of one scene and condition
-    for case, numbers in zip(cases, members, strict=True):
-        under.setdefault((case.settings.scene.file, case.condition), []).extend(series[number] for number in numbers)
+    lit = lit_cases(cases, lights)
+    under: dict[tuple[str, str], list[LitCase]] = {}  # of one scene and condition
+    for one in lit:
+        under.setdefault((one.case.settings.scene.file, one.case.condition), []).append(one)
     for together in under.values():
         check_ideals(together)
-    evaluations = Evaluations(series, results, workers, len(cases))
-    case_of = [place for place, numbers in enumerate(members) for _ in numbers]
-    samplings = [sizes for case in cases for sizes in first_sampling(case.settings).values()]
-    smallest_um = [min(sizes) for sizes in samplings]
-    rows = [NO_ROWS for _ in series]
-    curves: dict[int, Curve] = {}
-    fitted: list[Sizes] = [{} for _ in series]  # of these curves
-    left_out: list[dict[float, str]] = [{} for _ in series]
-    lacking: list[dict[tuple[str, float], str]] = [{} for _ in series]
-    impossible: dict[int, str] = {}
-    rounds = any(case.settings.target_ci_um is not None for case in cases)
-    with evaluations.resumed(samplings):
-        for group in evaluations.groups(members) if rounds else [range(len(cases))]:
-            changed = set(group)
-            while changed:
-                # Cases that have met their target stay, so that their lights are not prepared again.
-                wanted = [sizes if case_of[number] in changed else {} for number, sizes in enumerate(samplings)]
-                missing = {number: len(members[number]) for number in changed}
-                changed = set()
-                with closing(evaluations.rows(wanted, progress())) as found_rows:
-                    for number, rows[number] in found_rows:  # the workers go on while a curve is fitted
-                        place = case_of[number]
-                        missing[place] -= 1
-                        left_out[number] |= evaluations.left_out(number, samplings[number])
-                        lacking[number] |= evaluations.lacking(number, samplings[number])
-                        try:
-                            samplings[number] = evaluations.possible(number, samplings[number])
-                            if fitted[number] != samplings[number]:
-                                curves[number] = curve_of(
-                                    cases[place].settings, series[number].name, rows[number], series[number].imaging.metrics.chosen
-                                )
-                            fitted[number] = samplings[number]
-                        except TooFewSizesError as error:
-                            impossible[number] = " ".join([str(error), *lacking[number].values()][:2])
-                        if missing[place] or not impossible.keys().isdisjoint(members[place]):
-                            continue
-                        technologies = {series[own].name: own for own in members[place]}
-                        more = next_round(
-                            cases[place].settings,
-                            [curves[own] for own in technologies.values()],
-                            {name: samplings[own] for name, own in technologies.items()},
-                            len(cases) <= FEW_CASES,
-                        )
-                        for name, own in technologies.items():
-                            if more[name] != samplings[own]:
-                                changed.add(place)
-                            samplings[own] = more[name]
-            evaluations.end_group()
-        evaluations.finish(rows)
+    groups: dict[object, list[int]] = {}
+    for number, case in enumerate(cases):
+        groups.setdefault(case.group, []).append(number)
+    rounds, counts = Rounds(lit, len(groups) <= FEW_CASES), Counts(0, 0, 0)
+    has_target = any(case.settings.target_ci_um is not None for case in cases)
+    table = evaluate_points(
+        lit, results, workers, progress, more=rounds.more, known=rounds.curve, counts=counts, in_parts=has_target
+    )
+
+    tables = table.by_case()
+    curves = [rounds.curve(number, tables[number]) for number in range(len(cases))]
+    warn_of_left_out(lit, curves)
     found: list[StudyResult | str] = []
-    left_of_cases = [{series[number].name: left_out[number] for number in numbers if left_out[number]} for numbers in members]
-    reasons = [next((impossible[number] for number in numbers if number in impossible), "") for numbers in members]
-    warn_of_left_out(cases, [{} if reason else left for left, reason in zip(left_of_cases, reasons, strict=True)])
-    for case, numbers, reason, scenes, light in zip(cases, members, reasons, lit, lights, strict=True):
-        if reason:
+    for members in groups.values():
+        if reason := next((curve for number in members if isinstance(curve := curves[number], str)), ""):
             found.append(reason)
             continue
-        facts = {number: ideal_facts(series[number], smallest_um[number]) for number in numbers}
-        for number in numbers:
-            warn_of_clipping(facts[number].beyond_white, scenes.irradiance.header, series[number].imaging.display)
-        for number in numbers:
-            warn_of_stacks(series[number], smallest_um[number])
-        complete = tuple(
-            replace(
-                curves[number],
-                at=case.at,
-                condition=case.condition,
-                alone=case.alone,
-                left_out=tuple(left_out[number].items()),
-                lacking=tuple((*which, reason) for which, reason in lacking[number].items()),
-                causes=causes_of_curve(series[number], curves[number], facts[number].lightness, rows[number]),
+        light, study = lights[members[0]], cases[members[0]].settings
+        smallest_um = {number: min(cases[number].sizes) for number in members}
+        facts = {number: ideal_facts(lit[number], smallest_um[number]) for number in members}
+        for number in members:
+            warn_of_clipping(facts[number].beyond_white, light.image.header, lit[number].imaging.display)
+        for number in members:
+            warn_of_stacks(lit[number], smallest_um[number])
+        complete = []
+        for number in members:
+            curve, case = curves[number], cases[number]
+            assert isinstance(curve, Curve)
+            causes = causes_of_curve(lit[number], curve, facts[number].lightness, on_first_display(tables[number]))
+            complete.append(
+                replace(
+                    curve,
+                    at=case.at,
+                    condition=case.condition,
+                    alone=case.alone,
+                    causes=causes,
+                    on_displays=on_further_displays(study, curve, tables[number]),
+                )
             )
-            for number in numbers
+        rows = table.take(np.isin(table.case, members))
+        found.append(
+            StudyResult(
+                study,
+                tuple(complete),
+                light.image,
+                light.camera,
+                light.film,
+                view=dict(view),
+                table=rows,
+                lit=tuple(lit[number] for number in members),
+                without=light.without,
+            )
         )
-        known = case.settings, complete, light.image, light.camera, light.film
-        found.append(StudyResult(*known, view=dict(view), lights=scenes, without=light.without))
-    return found, evaluations.counts
+    return found, counts, table
 
 
-def warn_of_left_out(cases: Sequence[Case[Study]], left_out: Sequence[Mapping[str, Mapping[float, str]]]) -> None:
+def warn_of_left_out(cases: Sequence[LitCase], curves: Sequence[Curve | str]) -> None:
     """Warn of the pixel sizes that a study leaves out of each of its cases."""
     notes = []
-    for case, own in zip(cases, left_out, strict=True):
-        for name, sizes in own.items():
-            which = label_in(name, case.words)
+    for lit, curve in zip(cases, curves, strict=True):
+        if isinstance(curve, Curve) and curve.left_out:
+            sizes = dict(curve.left_out)
             listed = ", ".join(f"{pitch_um:g}" for pitch_um in sorted(sizes))
-            notes.append(f"{which}: {listed} µm left out: {sizes[max(sizes)]}")
+            notes.append(f"{lit.label}: {listed} µm left out: {sizes[max(sizes)]}")
     for note in few([notes]):
         warn(note)
 
@@ -347,7 +296,7 @@ def study(
     with collected_notes():  # also of what is found before the study begins
         chosen = plan if isinstance(plan, Study) else load_study(plan, config, parameters, pixel, scene, quick, **settings)
         spreads = uncertainty_of(plan, listed(config), quick) if isinstance(plan, str | os.PathLike) else {}
-        from pixsim.studies.sensor_types import asked_of
+        from pixsim.studies.drawn_types import asked_of
 
         asked = asked_of(uncertainty, sobol, smaller_than_um, spreads)
         job = replace(prepare(chosen, variant, light=light, without=without), uncertainty=spreads)
@@ -368,39 +317,35 @@ def run_prepared(
 
     asked : about its unknown numbers
     """
-    check_number(len(job.cases), job.evaluations, agreed)
+    check_number(len(job.combinations), job.evaluations, agreed)
     if asked is not None:
-        from pixsim.studies.sensor_types import check_types
+        from pixsim.studies.drawn_types import check_types
 
-        check_types(job.study, [case.settings for case in job.cases], asked, agreed)
+        check_types(job.study, [case.settings for case in job.combinations], asked, agreed)
 
     stage = progress or no_stage
     if jobs is None and scheduler is None:
-        jobs = jobs_in_memory(largest_frame_bytes([(case.settings, case.camera) for case in job.cases]))
+        jobs = jobs_in_memory(largest_frame_bytes([(case.settings, case.camera) for case in job.combinations]))
     with collected_notes() as notes, ExitStack() as stack:
-        ResultsFile(Path(out) / "results.csv").check_replaceable()
+        check_replaceable_results(Path(out) / "results.csv")
         workers, folder = stack.enter_context(workers_for(jobs, scheduler)), stack.enter_context(output_folder(out))
         chosen = job.study
-        lights = lights_of_cases(job.cases, stage, workers, store=PictureFile(folder).stored)
-        reasons = [light for light in lights if isinstance(light, str)]
-        lit = [(case, light) for case, light in zip(job.cases, lights, strict=True) if not isinstance(light, str)]
+        lights = render_lights(job.cases, stage, workers, store=PictureFile(folder).stored)
+        reasons = list(dict.fromkeys(light for light in lights if isinstance(light, str)))
         found: list[StudyResult] = []
-        if lit:
-            films = [light.image.shape[1] if isinstance(light, Light) else None for _, light in lit]
-            on_films = [case.settings.model_copy(update={"resolution": film}) for (case, _), film in zip(lit, films, strict=True)]
-            cases = [replace(case, settings=settings) for (case, _), settings in zip(lit, on_films, strict=True)]
-            of_cases = cases, [light for _, light in lit], job.view, folder / "results.csv", workers
-            made, counts = evaluate_cases(*of_cases, lambda: stage("evaluate"))
-            reasons += [each for each in made if isinstance(each, str)]
-            found = [each for each in made if isinstance(each, StudyResult)]
+        if lit := [(case, light) for case, light in zip(job.cases, lights, strict=True) if isinstance(light, Light)]:
+            cases = on_their_films(lit)
+            made, counts, table = evaluate_cases(
+                cases, [light for _, light in lit], job.view, folder / "results.csv", workers, lambda: stage("evaluate")
+            )
+            reasons += [reason for reason in made if isinstance(reason, str)]
+            found = [part for part in made if isinstance(part, StudyResult)]
         if not found:
             raise PixsimError(reasons[0])
         for note in few([[f"a case is left out: {reason}" for reason in reasons]]):
             warn(note)
         warn_of_idle_axes(chosen, found)
         curves = found[0].curves
-        if not job.study.has_cases and chosen.own_um is not None and chosen.display.raster == "fixed_size":
-            curves = curves_on_displays(found[0], workers, stage("on other displays"))
         findings: tuple[tuple[Any, ...], ...] = ()
         if job.study.has_cases and chosen.paper:
             from pixsim.studies.claims import findings_of_cases
@@ -421,7 +366,8 @@ def run_prepared(
             view=first.view,
             settings_toml=settings_toml,
             warned=tuple(notes),
-            lights=first.lights,
+            table=table,
+            lit=first.lit,
             parts=tuple(found),
             counts=counts,
             left_out=tuple(reasons),
@@ -429,7 +375,7 @@ def run_prepared(
         )
     if asked is None:
         return final
-    from pixsim.studies.sensor_types import draw_types
+    from pixsim.studies.drawn_types import draw_types
 
     with collected_notes(), workers_for(jobs, scheduler) as workers, output_folder(out) as folder:
         unknown = draw_types(final, asked, folder, workers, lambda: stage("sensor types"))

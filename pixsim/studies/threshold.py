@@ -17,9 +17,9 @@ from pixsim.base.notes import without_warnings
 from pixsim.base.progress import Progress
 from pixsim.scene.scene import Scene
 from pixsim.sensor.motion_options import STILL
-from pixsim.studies.cases import Job
-from pixsim.studies.lights import Demand, Light, without_target
-from pixsim.studies.preparation import loaded_scene, scene_with_view
+from pixsim.studies.design import Job
+from pixsim.studies.lights import Light, LightRequest, without_target
+from pixsim.studies.prepare import loaded_scene, scene_with_view
 from pixsim.viewer.evaluate import reviewed_chain
 from pixsim.viewer.frame_under_test import FrameUnderTest
 from pixsim.viewer.imaging import Imaging
@@ -104,7 +104,7 @@ def start_of(settings: Run, source: Scene | object) -> float | None:
     return start
 
 
-def threshold_of(job: Job[Run], demand: Demand, light: Light, d_prime: float, progress: Progress | None = None) -> Threshold:
+def threshold_of(job: Job[Run], request: LightRequest, light: Light, d_prime: float, progress: Progress | None = None) -> Threshold:
     """Return where d′ of the target is the threshold, from scenes that are rendered again on the film of the run.
 
     d′ rises with a size, a contrast and the light, between their root and their square, until pixels are full; then it falls. The
@@ -112,15 +112,15 @@ def threshold_of(job: Job[Run], demand: Demand, light: Light, d_prime: float, pr
     closes in on the values between.
 
     job : a run that asks for it
-    demand, light : of the run
+    request, light : of the run
     d_prime : of the run
     """
     settings, options, case = job.settings, job.settings.metric.detectability, job.cases[0]
     name, start = options.solve_for, start_of(settings, case.scene)
     assert name is not None
     assert start is not None
-    request = MetricRequest(metrics_named([DETECTABILITY.name]), settings.metric)
-    imaging = Imaging.of(settings, demand.camera).changed(metrics=request, motion=STILL)
+    metrics = MetricRequest(metrics_named([DETECTABILITY.name]), settings.metric)
+    imaging = Imaging.of(settings, request.camera).changed(metrics=metrics, motion=STILL)
     across = light.image.shape[1]
     load = partial(
         loaded_scene,
@@ -137,8 +137,8 @@ def threshold_of(job: Job[Run], demand: Demand, light: Light, d_prime: float, pr
         """Return the logarithm of d′ over the threshold, at a logarithm of the value over the first one."""
         scene = scene_with_view(load(parameters=settings.scene | {name: start * math.exp(away)}), job.view)
         scene = scene.with_resolution(across)
-        image, _ = demand.render(scene, demand.plan_of(scene))
-        background = without_target(replace(demand, scene=scene), across)
+        image, _ = request.render(scene, request.plan_of(scene))
+        background = without_target(replace(request, scene=scene), across)
         chain = reviewed_chain(imaging, SceneLight(image, background))
         found = DETECTABILITY.compute(FrameUnderTest.of(chain, chain.capture("threshold", settings.seed)))[0]
         if progress:

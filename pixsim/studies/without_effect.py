@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 from pixsim.base.errors import PixsimError
 from pixsim.base.records import Record
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
-from pixsim.studies.cases import Case
-from pixsim.studies.sampling import imaging_of, study_pitches_um
-from pixsim.studies.series import metrics_of
-from pixsim.studies.study_settings import Study
+from pixsim.studies.design import Case
+from pixsim.studies.settings import Study
+from pixsim.studies.sizes import imaging_of, metrics_of, study_pitches_um
 from pixsim.viewer.without_effect import TABLES, CommandFacts, Default, GivenSettings, record_with
 
 

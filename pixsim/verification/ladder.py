@@ -20,10 +20,10 @@ from pixsim.sensor.motion_options import STILL
 from pixsim.show.document import plain_text
 from pixsim.show.pages import Figures, plain, rows_csv
 from pixsim.show.render import notebook, write
-from pixsim.studies.cases import Case
+from pixsim.studies.design import Case
 from pixsim.studies.film_error import chains_of_film, measure_film, score_with, standard_noise_of
-from pixsim.studies.lights import Demand, demand_of, rendered_light
-from pixsim.studies.preparation import loaded_scene
+from pixsim.studies.lights import LightRequest, light_request, rendered_light
+from pixsim.studies.prepare import loaded_scene
 from pixsim.verification.case import ExtremeCase
 from pixsim.verification.extreme_cases import all_cases
 from pixsim.viewer.develop_options import with_functions
@@ -214,9 +214,9 @@ def measure_accuracy(
     warn_of_settings_without_effect({"": [given]})
     still: dict[str, Any] = {"motion": STILL, "exposure": settings.exposure.steady, "metrics": ("delta_e",)}
     still |= dict.fromkeys(("tolerance_delta_e", "max_seconds", "window_mm"))
-    demand = demand_of(Case(settings.model_copy(update=still), found=(scene, camera)))
-    light, _ = rendered_light(demand, progress("render"))
-    rungs, reference = climb(demand, light.image.shape[1], QUICK_EFFORTS if quick else EFFORTS, progress("ladder"))
+    request = light_request(Case(settings.model_copy(update=still), resolved=(scene, camera)))
+    light, _ = rendered_light(request, progress("render"))
+    rungs, reference = climb(request, light.image.shape[1], QUICK_EFFORTS if quick else EFFORTS, progress("ladder"))
     progress("extreme cases")
     return Accuracy(
         name=scene.path.stem,
@@ -229,22 +229,22 @@ def measure_accuracy(
     )
 
 
-def climb(demand: Demand, across: int, efforts: Sequence[float], progress: Progress) -> tuple[tuple[Rung, ...], Rung | None]:
+def climb(request: LightRequest, across: int, efforts: Sequence[float], progress: Progress) -> tuple[tuple[Rung, ...], Rung | None]:
     """Return the rungs of a ladder and its reference, the same sensor with the same noise on all films.
 
     across : samples across the film of the default settings, whose effort is 1
     """
-    camera, imaging = demand.camera, demand.measured[0]
+    camera, imaging = request.camera, request.measured[0]
     ratio = camera.height_mm / camera.die_mm
-    most = largest_film(ratio, demand.plan.planes, math.inf)
-    reference = REFERENCE_OF_CHART if demand.plan.exact and REFERENCE_OF_CHART * across <= most else REFERENCE
+    most = largest_film(ratio, request.plan.planes, math.inf)
+    reference = REFERENCE_OF_CHART if request.plan.exact and REFERENCE_OF_CHART * across <= most else REFERENCE
     wanted = [*efforts, *([reference] if reference * across <= most else [])]
     widths = {effort: fitting_width(ratio, max(LEAST_ACROSS, effort * across), most) for effort in wanted}
-    _measure(demand, imaging, widths[efforts[0]], 1 / efforts[0], None)  # what is compiled now counts for no rung
+    _measure(request, imaging, widths[efforts[0]], 1 / efforts[0], None)  # what is compiled now counts for no rung
     rungs: list[Rung] = []
     noise: Array | None = None
     for number, (effort, width) in enumerate(widths.items()):
-        rung, noise = _measure(demand, imaging, width, 1 / effort, noise)
+        rung, noise = _measure(request, imaging, width, 1 / effort, noise)
         rungs.append(rung)
         progress((number + 1) / len(widths), "")
     if len(rungs) == len(efforts):
@@ -257,16 +257,16 @@ def climb(demand: Demand, across: int, efforts: Sequence[float], progress: Progr
     return tuple(replace(rung, error_delta_e=error) for rung, error in zip(rungs, errors, strict=True)), finest
 
 
-def _measure(demand: Demand, imaging: Imaging, across: int, noise_times: float, noise: Array | None) -> tuple[Rung, Array]:
+def _measure(request: LightRequest, imaging: Imaging, across: int, noise_times: float, noise: Array | None) -> tuple[Rung, Array]:
     """Return a rung, and the standard noise of its frame.
 
     noise_times : as much render noise as asked for
     noise : of another rung's frame; None draws it
     """
-    render_noise = noise_times * demand.settings.render_noise
-    asked = replace(demand, settings=demand.settings.model_copy(update={"render_noise": render_noise}))
-    scene = demand.scene.with_resolution(across)
-    plan = demand.plan_of(scene)
+    render_noise = noise_times * request.settings.render_noise
+    asked = replace(request, settings=request.settings.model_copy(update={"render_noise": render_noise}))
+    scene = request.scene.with_resolution(across)
+    plan = request.plan_of(scene)
     start = time.perf_counter()
     with without_warnings():  # the default render gives them
         image, _ = asked.render(scene, plan, keep=False)

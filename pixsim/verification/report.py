@@ -9,7 +9,20 @@ from itertools import groupby
 from operator import attrgetter
 from typing import TYPE_CHECKING
 
-from pixsim.show.document import Answer, Block, Document, Fact, Listed, Plot, Section, Strong, Table, Text, VerdictText, made_with
+from pixsim.show.document import (
+    Answer,
+    Block,
+    Document,
+    DocumentTable,
+    Fact,
+    Listed,
+    Plot,
+    Section,
+    Strong,
+    Text,
+    VerdictText,
+    made_with,
+)
 from pixsim.show.figures import LOOKS, new_figure, own_style, plain_powers
 from pixsim.show.pages import Column, Plate, figure_files, plain, rows_csv
 from pixsim.show.sentences import number
@@ -96,7 +109,7 @@ def work_precision(accuracy: Accuracy) -> Plate:
     return Plate("work_precision", caption, figure, table)
 
 
-def ladder_table(accuracy: Accuracy) -> Table:
+def ladder_table(accuracy: Accuracy) -> DocumentTable:
     """Return the time and the errors of each film."""
     rows = [
         (
@@ -109,10 +122,10 @@ def ladder_table(accuracy: Accuracy) -> Table:
         for rung in accuracy.rungs
     ]
     head = ("samples across", "s", "mean ΔE", "error", "stated of the film", "stated of render noise")
-    return Table("ladder", head, rows, words=None)
+    return DocumentTable("ladder", head, rows, words=None)
 
 
-def case_table(accuracy: Accuracy) -> Table:
+def case_table(accuracy: Accuracy) -> DocumentTable:
     """Return the extreme cases, below the part of the computation that they test."""
     rows: list[tuple[Text, ...]] = []
     for room, cases in groupby(accuracy.cases, attrgetter("room")):
@@ -122,4 +135,4 @@ def case_table(accuracy: Accuracy) -> Table:
             met = VerdictText("met" if case.passed else f"NOT met {case.warned}", case.passed)
             rows.append((case.name, *values, (met,), case.source))
     head = ("case", "expected", "got", "error", "limit", "verdict", "source")
-    return Table("extreme cases", head, rows, words=(5, 6))
+    return DocumentTable("extreme cases", head, rows, words=(5, 6))

@@ -39,6 +39,19 @@ MAX_DIGESTED_BYTES = 1 << 27  # of light; a tenth of a second
 _recent_chains: dict[str, tuple[ImagingChain, float]] = {}  # the last one last; with `PreparedScene.beyond_white`
 
 
+def reviewed(imaging: Imaging, light: SceneLight) -> Imaging:
+    """Return settings that were not checked yet, with the white that the light says; warns for each note of their review.
+
+    Warns, too, if the scene's white is estimated (`white_header`).
+    """
+    check_develop(imaging.develop, imaging.pixel)
+    for note in review(imaging, light):
+        warn(note)
+    imaging = imaging.changed(display=with_white(imaging.display, white_header([(imaging, light.irradiance)])))
+    imaging.metrics.check(MetricContext(imaging.physics.layout is not None, light.background is not None))
+    return imaging
+
+
 def reviewed_chain(
     imaging: Imaging,
     light: SceneLight,
@@ -53,13 +66,7 @@ def reviewed_chain(
 
     Warns, too, if the scene's white is estimated (`white_header`), and if the display clips the scene.
     """
-    irradiance = light.irradiance
-    check_develop(imaging.develop, imaging.pixel)
-    for note in review(imaging, light):
-        warn(note)
-    imaging = imaging.changed(display=with_white(imaging.display, white_header([(imaging, irradiance)])))
-    imaging.metrics.check(MetricContext(imaging.physics.layout is not None, light.background is not None))
-
+    imaging, irradiance = reviewed(imaging, light), light.irradiance
     key = _key_of_chain(imaging, irradiance) if is_recent and not imaging.metrics.needs_light else None
     if key is not None and key in _recent_chains:
         chain, beyond_white = _recent_chains.pop(key)

@@ -27,9 +27,9 @@ from pixsim.base.records import Record
 from pixsim.optics.camera import Camera
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel, PixelOptions
-from pixsim.studies.preparation import prepare
-from pixsim.studies.study_file import load_study
-from pixsim.studies.study_settings import Study
+from pixsim.studies.files import load_study
+from pixsim.studies.prepare import prepare
+from pixsim.studies.settings import Study
 from pixsim.viewer.setting import Run
 
 # Bounds that do not stand in the field: of curves in `_check_curve`, `_check_channel`, `as_share`, `_check_chief_rays` and

@@ -21,11 +21,10 @@ from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import derive, fill_factor_law
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.spread import sheet_uncertainty
-from pixsim.studies.pixels import pixel_of
-from pixsim.studies.sampling import study_pitches_um
-from pixsim.studies.study_file import load_study
-from pixsim.studies.study_layers import with_data_sheets
-from pixsim.studies.study_settings import Study
+from pixsim.studies.files import load_study
+from pixsim.studies.layers import with_data_sheets
+from pixsim.studies.settings import Study
+from pixsim.studies.sizes import pixel_of, study_pitches_um
 from pixsim.viewer.dark_clip import clip_words, clips_dark, dark_clip
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import settings_layer

@@ -21,7 +21,7 @@ from pixsim.optics.exchange import write_npz
 from pixsim.scene.charts import write_chart
 from pixsim.sensor.raw import RawFrame, write_frame
 from pixsim.show.pages import rows_csv
-from pixsim.studies.results_file import ResultsFile
+from pixsim.studies.store import Store, check_replaceable_results
 
 LIGHT = SpectralImage([550.0], 10.0, 5.0, data=np.full((2, 3, 1), 1e-3))
 FRAME = RawFrame(np.array([[64, 1023]]), black_level_dn=64.0, bits=10)
@@ -187,30 +187,30 @@ def test_a_lock_that_is_not_pixsims_is_neither_waited_for_nor_removed(kind: str,
     assert (tmp_path / LOCK).exists()
 
 
-ROW = dict.fromkeys(ResultsFile(Path()).columns, "1")
+ROW = dict.fromkeys(Store(Path()).columns, "1")
 
 
 def test_each_change_of_a_study_keeps_its_own_backup(theirs: Path, tmp_path: Path) -> None:
     """Nor does a backup go through a link: an edited file of rows would become the content of any other file."""
     (tmp_path / "results.csv.old").symlink_to(theirs / "a.csv")
-    results, befores = ResultsFile(tmp_path / "results.csv"), []
+    results, befores = Store(tmp_path / "results.csv"), []
     for key in ("first", "second"):
-        results.write([ROW | {"key": key}])
+        results.write([(ROW | {"key": key}).values()])
         befores.append(results.path.read_text())
         results.resume(lambda row: False)
     assert contents(theirs) == {"a.csv": "mine"}
     assert [(tmp_path / f"results.csv.old{number}").read_text() for number in (2, 3)] == befores
-    results.write([ROW | {"key": "first"}])
+    results.write([(ROW | {"key": "first"}).values()])
     results.resume(lambda row: False)
     assert not (tmp_path / "results.csv.old4").exists(), "the same content is there already"
 
 
 def test_rows_are_not_appended_through_a_link(theirs: Path, tmp_path: Path) -> None:
     (tmp_path / "results.csv").symlink_to(theirs / "a.csv")
-    results = ResultsFile(tmp_path / "results.csv")
+    results = Store(tmp_path / "results.csv")
     with pytest.raises(PixsimError, match=r"results.csv', a link; allowed: the rows of a study"):
-        results.check_replaceable()
-    for write in (results.append, results.write):
+        check_replaceable_results(results.path)
+    for write in (results.add, results.write):
         with pytest.raises(PixsimError, match=r"results\.csv"):
-            write([ROW])
+            write([list(ROW.values())])
     assert contents(theirs) == {"a.csv": "mine"}

@@ -13,7 +13,7 @@ from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.lens_options import TracedLens
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.studies.study_settings import Study
+from pixsim.studies.settings import Study
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.merging import merge
 from pixsim.viewer.setting import Run

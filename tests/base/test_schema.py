@@ -15,7 +15,7 @@ from pixsim.base.schema import CHANGES, KEY, SCHEMA
 from pixsim.base.toml import HEAD, read_toml, settings_table_text
 from pixsim.cli.options import answer
 from pixsim.show.document import Document
-from pixsim.studies.results_file import COLUMNS, ResultsFile
+from pixsim.studies.store import COLUMNS, Store
 
 
 def row(number: int) -> dict[str, str]:
@@ -61,8 +61,8 @@ def test_json_files_and_output_state_the_schema(tmp_path, capsys):
     ],
 )
 def test_rows_of_another_schema_are_kept_apart_and_computed_again(tmp_path, change, says, kept):
-    results = ResultsFile(tmp_path / "results.csv")
-    results.write(map(row, range(3)))
+    results = Store(tmp_path / "results.csv")
+    results.write(row(number).values() for number in range(3))
     before = edited(results.path, change)
     with pytest.warns(UserWarning, match=f"{says}.*results.csv.old.*computed again") as told:
         assert list(results.resume(lambda row: True)) == kept
@@ -73,8 +73,8 @@ def test_rows_of_another_schema_are_kept_apart_and_computed_again(tmp_path, chan
 
 
 def test_rows_of_this_schema_are_resumed_without_a_word(tmp_path):
-    results = ResultsFile(tmp_path / "results.csv", ["lens"])
-    results.write(row(number) | {"lens": "f/4"} for number in range(3))
+    results = Store(tmp_path / "results.csv", ["lens"])
+    results.write([(row(number) | {"lens": "f/4"})[name] for name in results.columns] for number in range(3))
     before = results.path.read_bytes()
     with warnings.catch_warnings(action="error"):
         assert list(results.resume(lambda row: True)) == ["key0", "key1", "key2"]

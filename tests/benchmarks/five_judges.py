@@ -21,9 +21,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from helpers.documents import ROOT, blocks_of
 
 import pixsim
+from pixsim.studies.files import load_study
 from pixsim.studies.optimum import FittedCurve
 from pixsim.studies.regret import share_of_best
-from pixsim.studies.study_file import load_study
 from pixsim.viewer.metric_options import METRIC_OPTIONS
 from pixsim.viewer.metric_registry import METRICS
 

@@ -22,7 +22,7 @@ from pixsim.base import cache
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.cli import options
 from pixsim.cli.commands import app
-from pixsim.studies.study_settings import Study
+from pixsim.studies.settings import Study
 from pixsim.viewer.setting import Run
 
 SMALL = "--resolution 48 --display.dots 64"

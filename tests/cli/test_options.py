@@ -26,7 +26,7 @@ from pixsim.scene.packaged import packaged_scenes
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.studies.pitch_range import PitchRange
+from pixsim.studies.settings import PitchRange
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.metric_options import Niirs
 from pixsim.viewer.setting import Effort, Run

@@ -13,7 +13,7 @@ from pydantic import BaseModel
 import pixsim
 from pixsim.base.caller import OPTIONS
 from pixsim.cli.commands import app
-from pixsim.studies.study_settings import Study
+from pixsim.studies.settings import Study
 from pixsim.viewer.setting import Run
 
 # Command -> its function, and the record whose fields it takes as further keywords.

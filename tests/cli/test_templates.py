@@ -21,7 +21,7 @@ from pixsim.cli.templates import allowed, json_schema, template
 from pixsim.sensor.motion_options import VELOCITIES
 from pixsim.sensor.pixel_options import DATA_SHEET, STANDS_FOR, excluded_by
 from pixsim.sensor.spread import sheet_uncertainty
-from pixsim.studies.study_settings import Study
+from pixsim.studies.settings import Study
 from pixsim.viewer.develop_options import develop_excluded_by
 from pixsim.viewer.setting import Run
 

@@ -23,7 +23,7 @@ from pixsim.sensor.readout import Frame
 from pixsim.sensor.technology import Junction, Technology
 from pixsim.studies.optimum import Optimum
 from pixsim.studies.result import Curve
-from pixsim.studies.study_settings import Study
+from pixsim.studies.settings import Study
 from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.score import Score

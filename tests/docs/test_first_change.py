@@ -16,9 +16,9 @@ import pytest
 from helpers.documents import ROOT, blocks_of
 from helpers.processes import HANG_S
 
-from pixsim.studies.cases import cases_of
-from pixsim.studies.study_file import load_study
-from pixsim.studies.study_settings import Study
+from pixsim.studies.design import cases_of
+from pixsim.studies.files import load_study
+from pixsim.studies.settings import Study
 
 PAGE = ROOT / "docs/first_change.md"
 TESTS = "flicker or every_setting_of_a_frame or rms_luminance or mean_and_variance or hand_calculation"

@@ -28,8 +28,8 @@ from pixsim.scene.guard.plugins import PLUGINS, Allowed
 from pixsim.scene.packaged import packaged_scenes
 from pixsim.scene.scene import load_scene
 from pixsim.sensor.technology import load_technology
-from pixsim.studies.results_file import COLUMNS, ResultsFile
-from pixsim.studies.study_file import load_study
+from pixsim.studies.files import load_study
+from pixsim.studies.store import COLUMNS, Store
 
 Reader = Callable[[Path], object]
 PACKAGE = Path(pixsim.__file__).parent
@@ -84,8 +84,8 @@ def rows(path: Path) -> None:
 
 
 def read_rows(path: Path) -> object:
-    results = ResultsFile(path)
-    results.read()
+    results = Store(path)
+    results.read_keys()
     return results.resume(lambda row: row["key"] == "key1" and float(row["pitch_um"]) == 1.5)
 
 

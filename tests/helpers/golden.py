@@ -181,13 +181,15 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "types of a technology": ("study process.toml --uncertainty 8",),
     "types of a sheet": ("study few.toml --config unsure.toml --uncertainty 8",),
     "indices": ("study few.toml --config unsure.toml --sobol 8 --smaller-than 5",),
-    "compare view": ("compare large.toml small.toml --repeats 4 --resolution 512 --display.dots 512",),
+    "compare view": ("compare large.toml small.toml --match view --repeats 4 --resolution 512 --display.dots 512",),
     "compare lens": ("compare large.toml third.toml --match lens --repeats 4 --resolution 512 --display.dots 512",),
     "compare own": ("compare large.toml third.toml --match own --repeats 4 --resolution 512 --display.dots 512",),
-    "compare three": ("compare large.toml small.toml third.toml --repeats 4 --resolution 512 --display.dots 512",),
-    "compare conditions": ("compare large.toml small.toml --study conditions.toml --repeats 4 --resolution 256",),
-    "compare axes": ("compare large.toml small.toml --study light.toml --repeats 3 --resolution 256",),
-    "compare uncertainty": ("compare unsure.toml large.toml --uncertainty 8 --repeats 3 --resolution 256 --display.dots 256",),
+    "compare three": ("compare large.toml small.toml third.toml --match view --repeats 4 --resolution 512 --display.dots 512",),
+    "compare conditions": ("compare large.toml small.toml --match view --study conditions.toml --repeats 4 --resolution 256",),
+    "compare axes": ("compare large.toml small.toml --match view --study light.toml --repeats 3 --resolution 256",),
+    "compare uncertainty": (
+        "compare unsure.toml large.toml --match view --uncertainty 8 --repeats 3 --resolution 256 --display.dots 256",
+    ),
     "datasheet": ("datasheet small.toml",),
     "datasheet of a technology": ("datasheet 0.35um --pixel.pitch-um 6.5 --pixel.bits 12",),
     "sfr": ("run slanted_edge --resolution 512 --display.dots 512 --out edge", "sfr edge/raw.exr"),
@@ -198,7 +200,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "free run scene": (f"run {DESK} --window 0.5",),
     "free study": ("study chen2000 --quick",),
     "free study tolerance": ("study free.toml --tolerance-delta-e 0.3",),
-    "free compare": ("compare large.toml small.toml --repeats 4",),
+    "free compare": ("compare large.toml small.toml --match view --repeats 4",),
 }
 FREE = [name for name in COMMANDS if name.startswith("free")]
 QUICK = (

@@ -41,7 +41,7 @@ def assert_short_headlines(folder: Path) -> None:
     answers = re.findall(r'<p class="answer">(.*?)</p>', text_of(folder), re.DOTALL)
     assert answers
     for answer in answers:
-        words = re.sub(r"<[^>]*>", " ", answer.partition("<small>")[0]).split()
+        words = re.sub(r"<[^>]*>", "", answer.partition("<small>")[0]).split()
         assert 3 <= len(words) <= MOST_WORDS, " ".join(words)
 
 

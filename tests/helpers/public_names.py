@@ -16,10 +16,10 @@ RESULTS = (  # inside other results
     "verification.ladder.Rung",
 )
 RECORDS = (  # of settings, inside those that pixsim itself has
-    *("optics.camera.CameraOptions", "optics.lens_options.LensOptions", "scene.study_scene.StudyScene", "studies.axis.Axis"),
+    *("optics.camera.CameraOptions", "optics.lens_options.LensOptions", "scene.study_scene.StudyScene", "studies.axes.Axis"),
     *("sensor.colour_options.ColourOptions", "sensor.pixel_options.DarkCurrent", "sensor.pixel_options.PixelOptions"),
-    *("sensor.stack_options.StackOptions", "studies.axis.AxisValue", "studies.condition.Condition", "viewer.setting.Effort"),
-    *("studies.pitch_range.PitchRange", "viewer.develop_options.Develop", "viewer.setting.Run", "viewer.setting.Setting"),
+    *("sensor.stack_options.StackOptions", "studies.axes.AxisValue", "studies.axes.Condition", "viewer.setting.Effort"),
+    *("studies.settings.PitchRange", "viewer.develop_options.Develop", "viewer.setting.Run", "viewer.setting.Setting"),
 )
 MODULES = {name: getattr(pixsim, name) for name in pixsim._MODULES}
 

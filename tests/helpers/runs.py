@@ -6,8 +6,11 @@ from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+
 from pixsim.optics.camera import Camera
 from pixsim.studies.run import RunResult
+from pixsim.studies.table import Table
 from pixsim.viewer.causes import Cause
 from pixsim.viewer.setting import Run
 
@@ -42,7 +45,9 @@ def run_result(
     rendered: Any = film and SimpleNamespace(film=SimpleNamespace(as_dict=lambda: film), noise=noise)
     light: Any = SimpleNamespace(header=header)
     chain: Any = SimpleNamespace(rendition=None)
-    statistics = tuple({"mean_delta_e": value} for value in delta_e)
-    result = RunResult(prepared, light, rendered, chain=chain, score=score, statistics=statistics)
+    repeats = np.arange(len(delta_e))
+    columns = {"pitch_um": np.full(repeats.size, pitch_um), "repeat": repeats, "mean_delta_e": np.array(delta_e)}
+    table = Table(({"technology": "0.35um"},), np.zeros(repeats.size, np.int32), columns)
+    result = RunResult(prepared, light, rendered, chain=chain, score=score, table=table)
     result.__dict__.update({"causes": tuple(causes), "budget": None, **known})
     return result

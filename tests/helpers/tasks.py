@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pixsim.studies import evaluations
+from pixsim.studies import evaluate
 
 
 def nothing() -> None:
@@ -51,12 +51,12 @@ def collects_garbage(_task: int, _: object) -> bool:
     return gc.isenabled()
 
 
-def die_once_at_7_um(task: evaluations.Task, light: evaluations.SharedLight, mark: Path) -> list[evaluations.Row]:
+def die_once_at_7_um(task: evaluate.Task, light: evaluate.SharedLight, mark: Path) -> list[evaluate.Evaluated]:
     """A task of a study, in the middle of which the first process that gets it is killed."""
     if task.imaging.pixel.pitch_um == 7.0 and not mark.exists():
         mark.touch()
         os.kill(os.getpid(), signal.SIGKILL)
-    return evaluations.evaluate_task(task, light)
+    return evaluate.evaluate_task(task, light)
 
 
 def folder_of(task: int, shared: object) -> str:

@@ -8,6 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pixsim
+from pixsim.light.spectral import SpectralImage
+from pixsim.studies.design import Case
+from pixsim.studies.evaluate import LitCase, lit_cases
+from pixsim.studies.lights import Light
+from pixsim.studies.prepare import cases_of_sensors
 from pixsim.viewer.merging import merge
 
 PITCHES_UM = [5.3, 6.0, 7.0, 8.5, 11.0, 15.0]
@@ -52,3 +57,9 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 def keys(folder: Path) -> list[str]:
     return [row["key"] for row in rows(folder)]
+
+
+def lit_sensors(study: pixsim.Study, image: SpectralImage, camera: pixsim.Camera) -> list[LitCase]:
+    """The sensors of a study without axes in a light."""
+    cases = list(cases_of_sensors(Case(study, resolved=(image, camera))))
+    return lit_cases(cases, [Light(image, camera)] * len(cases))

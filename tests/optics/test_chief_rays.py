@@ -15,10 +15,9 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.records import checked
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.report.settings import record_rows
-from pixsim.studies.matched_cameras import matched_cameras
-from pixsim.studies.settings_text import settings_text
-from pixsim.studies.study_file import load_study
-from pixsim.studies.study_settings import Study
+from pixsim.studies.files import load_study, settings_text
+from pixsim.studies.sensors import matched_cameras
+from pixsim.studies.settings import Study
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import settings_layer
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import html
 import json
-import math
 import re
-from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,12 +14,9 @@ from helpers.commands import assert_refused, command
 from helpers.looks import text_of
 from helpers.sheets import two_sheets
 
-from pixsim.base.headline import MOST_WORDS, NOT_CONVERGED
-from pixsim.show.document import plain_text
-from pixsim.studies.averages import Averaged, Observed, shown_delta_e
-from pixsim.studies.verdicts import answer, verdict, verdict_parts, whole_verdict
-from pixsim.viewer.display_options import Display
-from pixsim.viewer.setting import Run
+import pixsim
+from pixsim.studies.comparison import Comparison, DisplayDifference, shown_delta_e, verdict_words
+from pixsim.studies.paired import Pairs
 
 SMALL = "--display.dots 120 --resolution 48 -D luminance_cd_per_m2=1 --repeats 3 --jobs 1 --variant scalar_spectral"
 
@@ -48,7 +43,7 @@ def test_compare_dry_run_writes_nothing(tmp_path: Path) -> None:
         ("compare {0} {1} -D colour=1", ["colour"]),
         ("compare {0} {1} --pixel.full-well-e -5", ["full_well_e", "-5"]),
         ("compare {0} {1} --study cheng2000", ["'cheng2000'", "chen2000"]),
-        ("compare {0} {1} --study chen2000-sensitivity", ["condition raster: one_to_one", "display.raster", "fixed_size"]),
+        ("compare {0} {1} --study chen2000-sensitivity", ["dark current", "set.process", "from their own files"]),
     ],
 )
 def test_compare_invalid_input_raises(line: str, texts: list[str], tmp_path: Path) -> None:
@@ -79,44 +74,6 @@ def test_compare_says_each_note_once(tmp_path: Path) -> None:
 
 # --- the words of an answer ---------------------------------------------------------------------------------------------
 
-STATED, HALF, TWICE = 600, 300, 1200  # dots
-
-
-def compared(values: dict[int, tuple[list[float], list[float]]], film: float | None = 0.0) -> Averaged:
-    """A comparison of these ΔE of a and b on displays of some dots, the stated one first."""
-    return Averaged(((1.0, observed(values, film)),))
-
-
-def observed(
-    values: dict[int, tuple[list[float], list[float]]],
-    film: float | None = 0.0,
-    condition: str = "",
-    noises: tuple[dict[str, float], ...] = ({}, {}),
-) -> Observed:
-    own = {"displays": [Display(dots=dots) for dots in values], "condition": condition, "settings": Run()}
-    lineup = SimpleNamespace(**own, weight=0.5 if condition else 1.0)
-    steps = SimpleNamespace(error_of_difference=lambda _: math.nan if film is None else film)
-    sensors = []
-    for number, (name, noise) in enumerate(zip("ab", noises, strict=True)):
-        on_displays = np.array([pair[number] for pair in values.values()])
-        image = SimpleNamespace(header={"render_noise": noise} if noise else {})
-        own = {
-            "name": name,
-            "on_displays": on_displays,
-            "delta_e": on_displays[0],
-            "steps": steps,
-            "causes": (),
-            "irradiance": image,
-        }
-        sensors.append(SimpleNamespace(**own, sensor=SimpleNamespace(settings=Run())))
-    return SimpleNamespace(lineup=lineup, sensors=tuple(sensors))  # type: ignore[return-value]
-
-
-def unsure_of(result: Averaged, words: str) -> Averaged:
-    """The same with these causes and errors beside the sensors."""
-    return type("Given", (Averaged,), {"unconverged": words})(result.parts)  # type: ignore[no-any-return]
-
-
 CERTAIN = " (probability > .999)"
 
 
@@ -135,104 +92,76 @@ CERTAIN = " (probability > .999)"
     ],
 )  # fmt: skip
 def test_verdict_is_as_sure_as_its_numbers(first: list[float], other: list[float], film: float | None, words: str) -> None:
-    assert verdict(compared({STATED: (first, other)}, film), "b") == words
+    pairs = Pairs(("a", "b"), np.array(first, float), np.array(other, float))
+    assert verdict_words(DisplayDifference(600, pairs.difference, pairs.interval, film), pairs) == words
 
 
-A_BY_02, B_BY_02, NEITHER = ([1.0, 1.01], [1.2, 1.211]), ([1.2, 1.211], [1.0, 1.01]), ([1.0, 1.2], [1.1, 1.2])
-A_BY_06 = [1.0, 1.01], [1.6, 1.611]
-BY_02 = "by 0.2005 ± 0.0064 ΔE (probability > .999)"
+def on_displays(*differences: float) -> tuple[DisplayDifference, ...]:
+    """Differences on 600, 300 and 1200 dots, each ± 0.01."""
+    return tuple(
+        DisplayDifference(dots, difference, (difference - 0.01, difference + 0.01), 0.0)
+        for dots, difference in zip((600, 300, 1200), differences, strict=True)
+    )
 
 
 @pytest.mark.parametrize(
-    ("values", "words"),
+    ("differences", "words"),
     [
-        ({STATED: A_BY_02}, f"a is better than b {BY_02}"),
-        ({STATED: A_BY_02, HALF: A_BY_06, TWICE: A_BY_02}, f"a is better than b {BY_02}; on 300 and 1200 dots a is better too"),
-        (
-            {STATED: A_BY_02, HALF: NEITHER, TWICE: A_BY_02},
-            f"a is better than b {BY_02}; on 300 dots they cannot be told apart; on 1200 dots a is better too",
-        ),
-        (
-            {STATED: A_BY_02, HALF: B_BY_02, TWICE: A_BY_02},
-            f"which of a and b is better depends on the display; on 600 dots, a is better than b {BY_02}; "
-            "on 300 dots b is better; on 1200 dots a is better too",
-        ),
-        (
-            {STATED: NEITHER, HALF: B_BY_02, TWICE: A_BY_02},
-            "which of a and b is better depends on the display; on 600 dots, a and b cannot be told apart: a is better by "
-            "0.1 ± 0.6 ΔE (probability .75); on 300 dots b is better; on 1200 dots a is better",
-        ),
+        ((0.2, 0.6, 0.2), []),
+        ((0.2, 0.005, 0.2), []),
+        ((0.2, -0.2, 0.2), ["depends on the display: a is better on 600 dots, b is better on 300 dots, a is better on 1200 dots"]),
+        ((0.005, -0.2, 0.2), ["depends on the display: b is better on 300 dots, a is better on 1200 dots"]),
     ],
 )
 def test_verdict_depends_on_the_display_where_the_sign_differs(
-    values: dict[int, tuple[list[float], list[float]]], words: str
+    differences: tuple[float, ...], words: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert verdict(compared(values), "b") == words
-
-
-def test_verdict_names_the_film_where_it_hides_the_answer() -> None:
-    """On other displays twice the film's error is taken: half of the difference on the stated display, nothing by noise."""
-    words = verdict(compared({STATED: A_BY_02, HALF: A_BY_02, TWICE: A_BY_06}, film=0.1), "b")
-    assert words == (
-        "a is better than b by 0.2 ± 0.1 ΔE (probability > .999); on 300 dots the film's error hides it; "
-        "on 1200 dots a is better too"
-    )
-    hidden = verdict(compared({STATED: A_BY_02, HALF: B_BY_02, TWICE: A_BY_02}, film=0.3), "b")
-    assert hidden == (
-        "the film's error of 0.3 ΔE hides which of a and b is better: a by 0.2005 ± 0.0064 ΔE; on 300 and 1200 dots the film's "
-        "error hides it"
-    )
+    monkeypatch.setattr(Comparison, "display_differences", lambda self, other, match=None: on_displays(*differences))
+    monkeypatch.setattr(Comparison, "groups", lambda self, match=None: [SimpleNamespace(first=SimpleNamespace(condition=""))])
+    job = SimpleNamespace(names=("a", "b"), matches=("view",))
+    assert Comparison(job, None, ()).depends("b") == words  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
-    ("night", "disagree"),
+    ("signs", "words"),
     [
-        ([1.0, 1.01], True),  # where the other sensor is as much better as the first by day
-        ([1.2, 1.21], True),  # where no difference is seen
-        ([1.3, 1.31], False),
+        ([1, -1, 0], "a is better at light 100, b at light 0.05, neither at light 1"),
+        ([1, 1, 1], "a is better than b in all 3 cases"),
+        ([0, 0, 0], "neither a nor b is surely better in any of 3 cases"),
     ],
 )
-def test_headline_names_the_conditions_that_disagree(night: list[float], disagree: bool) -> None:
-    """The weighted mean alone would say that one sensor is better, and that nobody sees it."""
-    day, night_part = ([1.0, 1.01], [1.2, 1.21]), ([1.2, 1.21], night)
-    both = Averaged(tuple((0.5, observed({STATED: own}, condition=name)) for name, own in (("day", day), ("night", night_part))))
-    words = whole_verdict(both, "b", "view")
-    mean = f"{verdict(both, 'b')} with match view"
-    assert (words != mean) == disagree
-    if disagree:
-        named = [f"{name} (weight 0.5): {verdict(part, 'b')}" for part, name in zip(both.conditions, ("day", "night"), strict=True)]
-        assert words == "; ".join(["the conditions disagree", *named, f"weighted mean: {mean}"])
+def test_headline_over_axes_says_where_which_is_better(signs: list[int], words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    cases = [SimpleNamespace(words=f"light {light:g}") for light in (100, 0.05, 1)]
+    job = SimpleNamespace(names=("a", "b"), match="lens", combinations=cases)
+    monkeypatch.setattr(Comparison, "depends", lambda self, other: [])
+    monkeypatch.setattr(Comparison, "sign", lambda self, other, match=None, condition=None: signs[self.combination])
+    assert Comparison(job, None, ()).headline("b") == f"{words} with match lens"  # type: ignore[arg-type]
 
 
-def test_headlines_are_short_whatever_the_result_is() -> None:
-    """At most 30 words, with who is better and that a render is too noisy; nothing is lost below."""
-    noisy = "not converged: render noise is 2.4 of the sensor's noise, target 0.2"
-    cause = "a: the lightest dot is 0.99 of a step of the ADC above black"
-    shown = (
-        {STATED: A_BY_02}, {STATED: NEITHER, HALF: NEITHER}, {STATED: A_BY_02, HALF: A_BY_06}, {STATED: A_BY_02, TWICE: B_BY_02},
-        {STATED: A_BY_02, HALF: NEITHER, TWICE: B_BY_02},
-    )  # fmt: skip
-    for values, film, unsure in product(shown, (0.0, 0.1, None), ("", noisy, cause, f"{cause}; {noisy}")):
-        given = unsure_of(compared(values, film), unsure)
-        found = answer(given, "b", "view")
-        head, *rest = map(plain_text, (found.head, *found.below))
-        assert len(head.split()) <= MOST_WORDS
-        assert ("not converged" in head) == (noisy in unsure)
-        fits = len(f"{verdict_parts(given, 'b', 'view')[0]} {cause} {NOT_CONVERGED}".split()) <= MOST_WORDS
-        assert (cause in head) == (cause in unsure) or not fits
-        assert all(part in "; ".join([head, *rest]) for part in whole_verdict(given, "b", "view").split("; "))
-
-
-def test_headline_says_that_a_render_is_too_noisy() -> None:
-    pair = [1.0, 1.01], [1.2, 1.21]
-
-    def of(*fractions: float) -> Averaged:
-        noises = tuple({"fraction": fraction, "target": 0.2, "delta_e": fraction / 10} for fraction in fractions)
-        return Averaged(((1.0, observed({STATED: pair}, noises=noises)),))
-
-    worst = "not converged: render noise is 2.4 of the sensor's noise, target 0.2"
-    assert whole_verdict(of(0.3, 2.4), "b", "own") == f"{verdict(of(0.3, 2.4), 'b')} with match own; {worst}"
-    assert whole_verdict(of(0.1, 0.1), "b", "own") == f"{verdict(of(0.1, 0.1), 'b')} with match own"
+def test_each_value_of_an_axis_is_a_comparison_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bit for bit; compare.json has all cases, and the page says them."""
+    monkeypatch.chdir(tmp_path)
+    files = two_sheets(tmp_path)
+    axis = '{ name = "light", set = "scene.parameters.luminance_cd_per_m2", values = [0.05, 100.0] }'
+    Path("lights.toml").write_text(f'name = "lights"\naxis = [{axis}]\n', encoding="utf-8")
+    small = "--display.dots 32 --resolution 48 --repeats 3 --jobs 1 --match view"
+    code, out, err = command(f"compare --study lights.toml --out out {small}", *files)
+    assert code == 0, err
+    found = json.loads(Path("out/compare.json").read_text(encoding="utf-8"))
+    other = found["names"][1]
+    assert out.splitlines()[0] == found["verdicts"][other]
+    for light, case in zip((0.05, 100.0), found["cases"], strict=True):
+        options = {"display": {"dots": 32}, "resolution": 48, "repeats": 3, "jobs": 1, "match": "view"}
+        alone = pixsim.compare(files, parameters={"luminance_cd_per_m2": light}, **options)
+        assert case["at"] == {"light": light}
+        assert {name: case[name] for name in alone.numbers()} == json.loads(json.dumps(alone.numbers()))
+        assert f"light {light:g}" in text_of(tmp_path / "out")
+    again = Path("out/results.csv").read_bytes()
+    monkeypatch.chdir("out")
+    (line,) = [line for line in Path("settings.toml").read_text(encoding="utf-8").splitlines() if "pixsim compare" in line]
+    code, _, err = command(f"{line.partition('pixsim ')[2]} --jobs 1 --out ../again")
+    assert code == 0, err
+    assert Path("../again/results.csv").read_bytes() == again
 
 
 def test_shown_delta_e_has_no_more_digits_than_it_is_sure_of() -> None:

@@ -21,7 +21,7 @@ from pixsim.base.progress import no_stage
 from pixsim.report import kept
 from pixsim.report.kept import digest_of_report, keep_or_write
 from pixsim.report.run import USUAL, RunFiles, digest_of_run
-from pixsim.studies.evaluations import Counts
+from pixsim.studies.evaluate import Counts
 from pixsim.studies.result import CasesResult, StudyResult
 from pixsim.studies.run import light_run, prepare
 from pixsim.viewer.setting import Run
@@ -276,6 +276,6 @@ def test_run_command_of_something_else_writes_all_files(tmp_path: Path) -> None:
     for folder in ("out", "new"):
         assert command(f"{line.replace('--seed 3', '--seed 4 --raw png')}/{folder}")[0] == 0
     after, new = (files_of(tmp_path / folder) for folder in ("out", "new"))
-    assert not [name for name in after if name in before and after[name][0] == before[name][0]], "files that were not written"
+    assert not [name for name in after if name in before and after[name] == before[name]], "files that were not written"
     assert after.keys() == new.keys()
     assert not [name for name in after if name != PROVENANCE and after[name][1] != new[name][1]]

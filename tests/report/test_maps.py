@@ -20,8 +20,8 @@ from pixsim.report import maps
 from pixsim.report.axes import alone_words
 from pixsim.show.figures import new_figure, own_style
 from pixsim.show.pages import Plate
-from pixsim.studies.axis import Axis
-from pixsim.studies.cases import Case, cases_of
+from pixsim.studies.axes import Axis
+from pixsim.studies.design import Case, cases_of
 from pixsim.studies.optimum import FittedCurve, fit_curve
 from pixsim.studies.result import CasesResult, Curve, StudyResult
 

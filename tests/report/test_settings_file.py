@@ -21,9 +21,9 @@ from pixsim.base.toml import packaged
 from pixsim.report.axes import alone_words
 from pixsim.scene.charts import siemens_star, write_chart
 from pixsim.scene.convergence import NO_TIME_LIMIT_S
+from pixsim.studies.files import load_study
 from pixsim.studies.result import StudyResult
 from pixsim.studies.sentences import study_view_words
-from pixsim.studies.study_file import load_study
 
 SHEET = """
 [pixel]
@@ -91,9 +91,9 @@ COMPARED = ("scores", "difference", "interval_delta_e", "film_delta_e", "scored_
         ("run light.npz --config sheet.toml --seed 2", "run /", RUN_FILES, SCORE[:5]),
         pytest.param("run csf --config sheet.toml --tolerance-delta-e 0.5 --resolution 48 --display.dots 64",
                      "run csf", RUN_FILES, SCORE, marks=pytest.mark.slow),  # many renders
-        (PAIR, f"{REPEATED} --scene csf --config settings.toml --match",
+        (PAIR, f"{REPEATED} --scene csf --config settings.toml --repeats",
          (), (*COMPARED, "probability_a_better", "displays", "verdicts")),
-        (f"{PAIR} --study dusk.toml", f"{REPEATED} --study settings.toml --match view --repeats 2", (), (*COMPARED, "conditions")),
+        (f"{PAIR} --study dusk.toml", f"{REPEATED} --study settings.toml --repeats 2", (), (*COMPARED, "conditions")),
     ],
 )  # fmt: skip
 def test_command_of_settings_makes_the_same_numbers(

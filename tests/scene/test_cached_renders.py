@@ -22,10 +22,10 @@ from pixsim.scene import convergence, renderer
 from pixsim.scene.convergence import render_until
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import CachedRenders, Renderer
-from pixsim.studies import preparation
+from pixsim.studies import prepare as preparation
+from pixsim.studies.files import load_study
 from pixsim.studies.lights import render_for
 from pixsim.studies.run import light_run, prepare
-from pixsim.studies.study_file import load_study
 from pixsim.viewer.merging import merge
 from pixsim.viewer.setting import Run
 

@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 from helpers.edits import NEEDS_NO_CARD, VARIANT
 from helpers.processes import HANG_S
-from helpers.tiny import tiny
+from helpers.tiny import lit_sensors, tiny
 
 import pixsim
 from pixsim.base.cache import ENTRY, VALUE, entry_label
@@ -38,7 +38,6 @@ from pixsim.scene.renderer import Renderer
 from pixsim.scene.tree import _to_json, tree_of
 from pixsim.scene.variants import checks, graphics, variant
 from pixsim.scene.variants.trial import Trial, attempt
-from pixsim.studies.series import scenes_of, series_of
 
 # Numbers that a real driver would report are read from the environment.
 FAKE_DRIVER = r"""
@@ -421,8 +420,8 @@ def test_rows_of_a_study_are_of_one_variant(card: Callable[[int], None]):
     card(99)
 
     def keys(choice: variant.ChosenVariant) -> set[str]:
-        (series,) = series_of(tiny(), scenes_of(tiny(), light(choice), small().camera()))
-        return set(series.fingerprints.keys(6.0, 2))
+        (lit,) = lit_sensors(tiny(), light(choice), small().camera())
+        return set(lit.fingerprints.keys(6.0, 2))
 
     of_card, known = keys(CHOSEN), keys(variant.choose(VARIANT))
     assert of_card.isdisjoint(known)

@@ -18,7 +18,7 @@ from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import render
 from pixsim.scene.scene import load_scene, sensor_node
 from pixsim.scene.white_plate import distance_of_plate_m, place_of_plate
-from pixsim.studies.light_level import LightLevel
+from pixsim.studies.merit import LightLevel
 from pixsim.viewer.display import white_light
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.merging import merge
@@ -162,7 +162,7 @@ def test_each_sensor_of_a_comparison_has_the_plate_in_its_own_light(tmp_path: Pa
     result = pixsim.compare(
         files, scene_file(tmp_path, lamp, BOARD), display=display, resolution=16, render_noise=5.0, repeats=2, jobs=1
     )
-    cut, whole = (sensor.irradiance.header["white_w_per_m2_sr"] for sensor in result.sensors)
+    cut, whole = (sensor.light.image.header["white_w_per_m2_sr"] for sensor in result.sensors)
     facing = math.cos(math.pi / 4) / math.pi
     assert [cut, whole] == pytest.approx([10.0 * facing, (10.0 + IRRADIANCE) * facing], rel=1e-3)
 

@@ -40,10 +40,9 @@ from pixsim.sensor.pixel import PixelPhysics, derive, smallest_pitch_um
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.stack_options import StackOptions
 from pixsim.sensor.technology import Technology, load_technology
-from pixsim.studies.cases import cases_of
-from pixsim.studies.pixels import physics_of
-from pixsim.studies.sampling import study_pitches_um
-from pixsim.studies.study_settings import Study
+from pixsim.studies.design import cases_of
+from pixsim.studies.settings import Study
+from pixsim.studies.sizes import physics_of, study_pitches_um
 from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.merging import merge

@@ -27,10 +27,10 @@ from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import capture, make_sensor
 from pixsim.sensor.stages import STAGES, moving_in, stage_words
-from pixsim.studies.many_sensors import sweep
-from pixsim.studies.preparation import prepare
-from pixsim.studies.sampling import border_on_um
-from pixsim.studies.study_settings import Study
+from pixsim.studies.prepare import prepare
+from pixsim.studies.settings import Study
+from pixsim.studies.sizes import border_on_um
+from pixsim.studies.sweep import sweep
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.evaluate import evaluate
 from pixsim.viewer.setting import Run

@@ -15,13 +15,13 @@ from pixsim.show.document import (
     Beside,
     Block,
     Document,
+    DocumentTable,
     Link,
     Listed,
     Note,
     Plot,
     Section,
     Strong,
-    Table,
     VerdictText,
     pairs,
 )
@@ -40,7 +40,7 @@ def plate() -> Plate:
     return Plate("line", f"The line rises. {EVIL}", figure, {"x": [0, 1], EVIL: [0, 1]})
 
 
-TABLE = Table("sizes", HEAD, ROWS, EVIL, words=(2,), stacks=True)
+TABLE = DocumentTable("sizes", HEAD, ROWS, EVIL, words=(2,), stacks=True)
 BLOCKS: tuple[Block, ...] = (
     (f"{EVIL}, ", Strong("5.3 µm"), " in ", Link(EVIL, 'a "b".csv'), " is ", VerdictText("good", True)),
     *(Listed((EVIL, "second")), TABLE, Beside((pairs("versions", {"python": EVIL}),)), Plot(plate), Note(EVIL)),
@@ -57,7 +57,9 @@ def document(**changes: object) -> Document:
 
 
 def test_terminal_has_words_left_numbers_right_and_headings_of_rows_at_the_edge() -> None:
-    shown = render.text(document(terminal=(Answer("head", ("below",)), Table("", HEAD, ROWS[:3], words=(2,)), Note("warned"))))
+    shown = render.text(
+        document(terminal=(Answer("head", ("below",)), DocumentTable("", HEAD, ROWS[:3], words=(2,)), Note("warned")))
+    )
     assert shown.splitlines() == [
         "head",
         "  below",
@@ -73,7 +75,7 @@ def test_terminal_has_words_left_numbers_right_and_headings_of_rows_at_the_edge(
 def test_terminal_wraps_words_where_a_table_is_too_wide() -> None:
     """Words are not broken, and neither are numbers and the last cell of a short row, which may be a command."""
     rows = (("one", "12.5", "a few words"), ("two", "100.25", "more-of-them in all"), ("", "a command of many words"))
-    table = Table("", ("", "number", "remark"), rows, words=(2,))
+    table = DocumentTable("", ("", "number", "remark"), rows, words=(2,))
     shown = render.text(document(terminal=(table, table)), 28).splitlines()
     assert shown[:6] == [
         "     number  remark",

@@ -23,14 +23,14 @@ from pixsim.base import cache
 from pixsim.base.errors import PixsimError
 from pixsim.base.layers import nested
 from pixsim.cli.options import axes_of
-from pixsim.studies import preparation
-from pixsim.studies.axis import Axis
-from pixsim.studies.cases import BASE, MAX_CASES, cases_of, check_number
-from pixsim.studies.pixels import pixel_of
-from pixsim.studies.preparation import prepare
+from pixsim.studies import prepare as preparation
+from pixsim.studies.axes import Axis
+from pixsim.studies.design import BASE, MAX_CASES, cases_of, check_number
+from pixsim.studies.files import load_study
+from pixsim.studies.prepare import prepare
 from pixsim.studies.result import StudyResult
-from pixsim.studies.study_file import load_study
-from pixsim.studies.study_settings import Study
+from pixsim.studies.settings import Study
+from pixsim.studies.sizes import pixel_of
 from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.merging import merge
 from pixsim.viewer.without_effect import STREAM
@@ -170,7 +170,7 @@ def test_study_axes_survive_a_round_trip() -> None:
     integration = {"name": "l", "set": "exposure.max_integration_s", "from": 1, "to": 9, "count": 3}
     study = tiny(axis=[LENS, PRNU, integration], condition=[DAY])
     again = Study.model_validate(json.loads(json.dumps(study.model_dump(mode="json", exclude_unset=True))))
-    assert [case.columns for case in cases_of(again)] == [case.columns for case in cases_of(study)]
+    assert [case.labels for case in cases_of(again)] == [case.labels for case in cases_of(study)]
 
 
 # --- cases ------------------------------------------------------------------------------------------------------------
@@ -179,7 +179,7 @@ def test_study_axes_survive_a_round_trip() -> None:
 def test_cases_of_plain_study_is_itself() -> None:
     (case,) = cases_of(study := tiny())
     assert case.settings is study
-    assert (case.words, case.columns) == ("", {})
+    assert (case.words, case.labels) == ("", {})
     assert [case.at for case in cases_of(tiny(condition=[DAY, NIGHT]))] == [{}, {}]
 
 
@@ -381,8 +381,8 @@ def test_study_lights_are_done_one_after_the_other_in_little_memory(tmp_path: Pa
     watched: dict[str, Callable[[Any], Any] | None] = {
         "pixsim.scene.renderer.Renderer.image": lambda image: image.factors[1],
         "pixsim.viewer.scene_light.prepare_scene": lambda light: light.rate_e_per_s_um2,
-        "pixsim.studies.study.curve_of": None,
-        "pixsim.studies.evaluations.evaluate_task": None,
+        "pixsim.studies.rounds.curve_of": None,
+        "pixsim.studies.evaluate.evaluate_task": None,
     }
     for place, replacement in {place: recorded(place, large) for place, large in watched.items()}.items():
         monkeypatch.setattr(place, replacement)

@@ -13,11 +13,11 @@ from scipy import stats
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.studies.averages import Averaged
 from pixsim.studies.comparison import Comparison
-from pixsim.studies.lineup import prepare
-from pixsim.studies.study_settings import Study
-from pixsim.studies.verdicts import whole_verdict
+from pixsim.studies.paired import paired
+from pixsim.studies.sensors import prepare
+from pixsim.studies.settings import Study
+from pixsim.studies.table import Table
 
 DAY = {"scene": {"parameters": {"luminance_cd_per_m2": 300.0}}, "exposure": {"max_integration_s": 0.02}}
 NIGHT = {"scene": {"parameters": {"luminance_cd_per_m2": 1.0}}, "display": {"white_cd_per_m2": 1.0}, "camera": {"f_number": 2.0}}
@@ -36,10 +36,10 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 
 @pytest.fixture(scope="module")
-def both(files: list[Path]) -> Averaged:
+def both(files: list[Path]) -> Comparison:
     """A pair among three sensors, of which the third has more dots and detail: the tests below compare with the two alone."""
     third = sheet(files[0].with_name("third.toml"), 3.0, 9.0, "[140, 140]")
-    return pixsim.compare([*files, third], study=plan(condition=BOTH), repeats=3, jobs=1).pair("b")
+    return pixsim.compare([*files, third], study=plan(condition=BOTH), match="view", repeats=3, jobs=1)
 
 
 @pytest.fixture(scope="module")
@@ -51,15 +51,15 @@ def in_condition(files: list[Path], table: dict[str, Any]) -> Comparison:
     """The comparison without a study under the settings of a condition."""
     options = {"exposure": PLAN["exposure"]} | {name: value for name, value in table.items() if name != "scene"}
     parameters = table["scene"]["parameters"]
-    return pixsim.compare(files, parameters=parameters, resolution=48, repeats=3, jobs=1, **options)
+    return pixsim.compare(files, parameters=parameters, resolution=48, match="view", repeats=3, jobs=1, **options)
 
 
-def test_weighted_mean_is_that_of_the_conditions_alone(both: Averaged, alone: list[Comparison]) -> None:
+def test_weighted_mean_is_that_of_the_conditions_alone(both: Comparison, alone: list[Comparison]) -> None:
     """Σ w ΔE of each pair of frames, from two comparisons without a study; its interval is Student's t of these sums."""
     day, night = alone
-    for name in ("a", "b"):
-        expected = 0.75 * day.delta_e[name] + 0.25 * night.delta_e[name]
-        np.testing.assert_allclose(both.delta_e[name], expected, rtol=1e-13)
+    of_pair = both.pairs("b")
+    for name, values in zip("ab", (of_pair.a, of_pair.b), strict=True):
+        np.testing.assert_allclose(values, 0.75 * day.delta_e[name] + 0.25 * night.delta_e[name], rtol=1e-13)
     pairs = 0.75 * day.differences["b"] + 0.25 * night.differences["b"]
     assert both.difference["b"] == pytest.approx(pairs.mean(), rel=1e-12)
     interval = stats.t.interval(0.95, 2, pairs.mean(), stats.sem(pairs))
@@ -68,21 +68,34 @@ def test_weighted_mean_is_that_of_the_conditions_alone(both: Averaged, alone: li
     assert both.probability_a_better["b"] == pytest.approx(above, rel=1e-9)
 
 
-def test_conditions_are_those_comparisons_bit_for_bit(both: Averaged, alone: list[Comparison]) -> None:
-    day, night = (result.answers() for result in alone)
-    assert [part.answers() for part in both.conditions] == [day, night]
-    assert [whole_verdict(part, "b", None) for part in both.conditions] == [whole_verdict(result, "b", None) for result in alone]
-    assert [weight for weight, _ in both.counted] == [0.75, 0.25]
-    assert both.shown.lineup.condition == "day"
-    assert [sensor.score for sensor in both.sensors] == [sensor.score for sensor in both.conditions[0].sensors]
+def test_conditions_are_those_comparisons_bit_for_bit(both: Comparison, alone: list[Comparison]) -> None:
+    for name, result in zip(("day", "night"), alone, strict=True):
+        in_condition = both.pairs("b", condition=name)
+        assert np.array_equal(in_condition.differences, result.differences["b"])
+        assert both.film_of_pair("b", condition=name) == result.film_delta_e["b"]
+        assert both.sign("b", condition=name) == result.sign("b")
+    assert [group.weight for group in both.groups()] == [0.75, 0.25]
+    assert both.shown.first.condition == "day"
+
+
+def test_verdict_names_the_conditions_that_disagree(both: Comparison, monkeypatch: pytest.MonkeyPatch) -> None:
+    signs = {None: 1, "day": 1, "night": -1}
+    monkeypatch.setattr(Comparison, "sign", lambda self, other, match=None, condition=None: signs[condition])
+    places = "a is better in day (weight 0.75), b is better in night (weight 0.25)"
+    assert f"depends on the condition: {places}" in both.depends("b")
+    assert " in the weighted mean with match view" in both.verdict("b")
 
 
 def test_one_condition_is_the_comparison_without_a_study(alone: list[Comparison], files: list[Path]) -> None:
-    one = pixsim.compare(files, study=plan(condition=[{"name": "night", "weight": 7.0, "set": NIGHT}]), repeats=3, jobs=1)
-    assert one.answers() == alone[1].answers()
+    one = pixsim.compare(
+        files, study=plan(condition=[{"name": "night", "weight": 7.0, "set": NIGHT}]), match="view", repeats=3, jobs=1
+    )
+    answers = ("difference", "interval_delta_e", "probability_a_better", "film_delta_e", "scores")
+    expected = {name: alone[1].numbers()[name] for name in answers}
+    assert {name: one.numbers()[name] for name in answers} == expected
     of_night = {"scene": {"file": "csf"} | NIGHT["scene"], "camera": NIGHT["camera"], "display": NIGHT["display"]}
-    without = pixsim.compare(files, study=plan(**of_night), repeats=3, jobs=1)
-    assert without.answers() == alone[1].answers()
+    without = pixsim.compare(files, study=plan(**of_night), match="view", repeats=3, jobs=1)
+    assert {name: without.numbers()[name] for name in answers} == expected
     assert without.as_dict()["study"] == {"name": "both", "not_used": []}
     assert "conditions" not in without.as_dict()
 
@@ -90,8 +103,8 @@ def test_one_condition_is_the_comparison_without_a_study(alone: list[Comparison]
 def test_shown_condition_is_the_first_of_weight_above_0(files: list[Path]) -> None:
     never = {"name": "never", "weight": 0.0, "set": {"scene": {"file": "flat"}}}
     made = prepare(files, study=plan(condition=[never, *BOTH[::-1]]), match="view", repeats=2)
-    assert made.shown.condition == "night"
-    assert [(part.condition, part.scene) for part in made.conditions] == [("never", "flat"), ("night", "csf"), ("day", "csf")]
+    assert made.shown.first.condition == "night"
+    assert [(group.first.condition, group.scene) for group in made.groups] == [("never", "flat"), ("night", "csf"), ("day", "csf")]
 
 
 def test_view_of_all_conditions_is_that_of_the_shown_one(files: list[Path]) -> None:
@@ -101,13 +114,13 @@ def test_view_of_all_conditions_is_that_of_the_shown_one(files: list[Path]) -> N
     for order, limit in (([slow, fast], "the lens's cut-off"), ([fast, slow], "the sensor's Nyquist frequency")):
         study = Study.model_validate({"name": "lenses", "condition": order})
         made = prepare(files, study=study, match="view", repeats=2)
-        assert all(part.view == made.shown.view for part in made.conditions)
+        assert all(group.view == made.shown.view for group in made.groups)
         assert made.shown.view["limited_by"] == limit
-        own = {part.cases[0].scene.parameters["max_lp_per_mm"] for part in made.conditions}
+        own = {group.first.scene.parameters["max_lp_per_mm"] for group in made.groups}
         assert len(own) == 1
     fewer = {"name": "fewer", "set": {"display": {"dots": 30}}}
     made = prepare(files, study=Study.model_validate({"name": "dots", "condition": [fast, fewer]}), match="view", repeats=2)
-    assert [part.settings.display.dots for part in made.conditions] == [64, 30]
+    assert [group.display.dots for group in made.groups] == [64, 30]
 
 
 def test_layers_lens_then_file_then_study_then_options_then_condition(tmp_path: Path) -> None:
@@ -115,13 +128,13 @@ def test_layers_lens_then_file_then_study_then_options_then_condition(tmp_path: 
     b = sheet(tmp_path / "b.toml")
     study = plan(camera={"f_number": 2.0, "die_mm": 9.0}, technologies=["4t-bsi"], condition=BOTH)
     made = prepare([b, a], study=study, match="own", repeats=2, options={"exposure": {"well_target": 0.5}})
-    day, night = made.conditions
+    day, night = made.groups
     assert [each.camera.f_number for each in day.cases] == [2.0, 8.0], "the study's lens is for files that state none"
     assert [each.camera.f_number for each in night.cases] == [2.0, 2.0], "a condition's is for all"
     assert [each.settings.exposure.max_integration_s for each in day.cases] == [0.02, 0.02]
     times_s = [each.settings.exposure.max_integration_s for each in night.cases]
     assert times_s == [0.05, 0.05], "the study's takes precedence over a file's"
-    assert {each.settings.exposure.well_target for part in made.conditions for each in part.cases} == {0.5}
+    assert {each.settings.exposure.well_target for part in made.groups for each in part.cases} == {0.5}
     assert made.shown.cases[0].camera.die_mm == 1.28
     assert set(made.not_used) == {"technologies", "camera.die_mm"}
 
@@ -132,8 +145,8 @@ def test_correction_development_and_lens_of_a_study_are_those_of_all(files: list
     options: dict[str, Any] = {"match": "view", "repeats": 2}
     made = prepare(files, study=plan(**tables, lens={"file": "singlet"}), **options)
     same = prepare(files, study=plan(), options=tables | {"lens": {"file": "singlet"}}, **options)
-    assert made.shown.settings == same.shown.settings
-    assert made.shown.settings.correction.dark_frames == 4
+    assert made.shown.first.settings == same.shown.first.settings
+    assert made.shown.first.settings.correction.dark_frames == 4
     assert [each.camera for each in made.shown.cases] == [each.camera for each in same.shown.cases]
     assert made.shown.cases[0].camera.lens is not None
     assert made.not_used == ()
@@ -157,14 +170,14 @@ def test_scene_of_option_is_without_the_parameters_of_the_study(files: list[Path
 # --- synthetic scores -------------------------------------------------------------------------------------------------
 
 
-def weighted_of(day: np.ndarray, night: np.ndarray) -> Averaged:
-    """A comparison of these ΔE, each (2 sensors, repeats), with weights 3 to 1."""
-
-    def of(values: np.ndarray) -> Any:
-        sensors = tuple(SimpleNamespace(name=name, on_displays=own[None]) for name, own in zip("ab", values, strict=True))
-        return SimpleNamespace(sensors=sensors)
-
-    return Averaged(((0.75, of(day)), (0.25, of(night))))
+def weighted_of(day: np.ndarray, night: np.ndarray) -> Any:
+    """The pairs of these ΔE, each (2 sensors, repeats), with weights 3 to 1."""
+    labels = tuple({"technology": name, "condition": condition} for condition in ("day", "night") for name in "ab")
+    values = np.concatenate([day, night])
+    count = values.shape[1]
+    columns = {"pitch_um": np.full(values.size, 5.0), "repeat": np.tile(np.arange(count), 4), "mean_delta_e": values.ravel()}
+    table = Table(labels, np.repeat(np.arange(4, dtype=np.int32), count), columns)
+    return paired(table, "a", "b", weights={"day": 0.75, "night": 0.25})
 
 
 class FilmSteps(NamedTuple):
@@ -176,16 +189,19 @@ class FilmSteps(NamedTuple):
         return self.delta_e + other.delta_e
 
 
-def test_film_errors_of_conditions_add_up_by_weight() -> None:
+def test_film_errors_of_conditions_add_up_by_weight(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is not known in one of weight is not known of the mean."""
 
     def mean_of(night: float, *weights: float) -> float | None:
         errors = (0.1, 0.05), (0.1, night)
-        steps: Any = [
-            [SimpleNamespace(name=name, steps=FilmSteps(own)) for name, own in zip("ab", each, strict=True)] for each in errors
+        steps = [
+            {name: SimpleNamespace(steps=FilmSteps(error)) for name, error in zip("ab", of_both, strict=True)} for of_both in errors
         ]
-        parts = tuple((weight, SimpleNamespace(sensors=own)) for weight, own in zip(weights, steps, strict=True))
-        return Averaged(parts).film_between("a", "b")
+        groups = [SimpleNamespace(weight=weight, steps=of_both) for weight, of_both in zip(weights, steps, strict=True)]
+        monkeypatch.setattr(Comparison, "groups_of_pair", lambda self, other, match=None: groups)
+        monkeypatch.setattr(Comparison, "of_group", lambda self, group: group.steps)
+        result = Comparison(SimpleNamespace(names=("a", "b")), None, ())  # type: ignore[arg-type]
+        return result.film_of_pair("b")
 
     assert mean_of(0.2, 0.75, 0.25) == pytest.approx(0.75 * 0.15 + 0.25 * 0.3)
     assert mean_of(np.nan, 0.75, 0.25) is None
@@ -207,11 +223,11 @@ def test_weighted_interval_covers_and_its_false_alarms_are_5_percent() -> None:
         day[1] += 0.2
         night[1] += 1.0
         result = weighted_of(day, night)
-        low, high = result.interval_delta_e["b"]
+        low, high = result.interval
         inside.append(low <= 0.75 * 0.2 + 0.25 * 1.0 <= high)
         day[1] -= 0.2
         night[1] -= 1.0
-        above.append(weighted_of(day, night).probability_a_better["b"])
+        above.append(weighted_of(day, night).probability_a_better)
     assert np.mean(inside) == pytest.approx(0.95, abs=4 * 0.0049)
     false_alarms = np.mean([probability > 0.975 or probability < 0.025 for probability in above])
     assert false_alarms == pytest.approx(0.05, abs=4 * 0.0049)

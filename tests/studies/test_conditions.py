@@ -13,11 +13,19 @@ from pixsim.report.regret import regrets_plate
 from pixsim.report.wording import weighted_answer
 from pixsim.show.document import plain_text
 from pixsim.show.render import lines
-from pixsim.studies.conditions import condition_regrets, regrets_summary, weighted_criterion, weighted_fit, weighted_mean
-from pixsim.studies.optimum import fit_curve
-from pixsim.studies.regret import Criterion, Regrets
-from pixsim.studies.result import Curve, fit_of_metric
-from pixsim.studies.study_settings import Study
+from pixsim.studies.optimum import fit_curve, fit_of_metric
+from pixsim.studies.regret import (
+    Criterion,
+    Regrets,
+    condition_regrets,
+    regrets_summary,
+    weighted_criterion,
+    weighted_fit,
+    weighted_mean,
+)
+from pixsim.studies.result import Curve
+from pixsim.studies.sentences import regrets_tables
+from pixsim.studies.settings import Study
 from pixsim.viewer.metric_registry import metrics_named
 
 PITCH_UM = np.geomspace(4.0, 12.0, 9)
@@ -179,7 +187,7 @@ def test_tables_of_regrets_have_all_numbers_in_80_columns() -> None:
     ]
     regrets = Regrets("data sheet", "condition", tuple(criteria))
 
-    sizes, matrix = (list(lines(table, width=80)) for table in regrets.tables())
+    sizes, matrix = (list(lines(table, width=80)) for table in regrets_tables(regrets))
     assert max(map(len, sizes + matrix)) <= 80
     for size in ("10.25", "≤ 4.00", "≥ 12.00", "5.418e+05 bit/mm²"):
         assert any(size in line for line in sizes), size

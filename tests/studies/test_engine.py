@@ -32,7 +32,7 @@ from pixsim.base import cache
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.notes import MachineWarning, collected_notes
 from pixsim.scene.packaged import packaged_scenes
-from pixsim.studies import engine, evaluations
+from pixsim.studies import engine, evaluate
 from pixsim.studies.engine import SharedFiles, Workers, results_of, workers_for
 
 AXES = [
@@ -451,7 +451,7 @@ def test_study_that_loses_its_cluster_keeps_rows(lost: str, pattern: str, tmp_pa
 @pytest.mark.filterwarnings("ignore:a worker process died")
 def test_study_killed_cluster_worker_is_replaced(cluster: str, toml, expected, tmp_path: Path, monkeypatch) -> None:
     """The last test of the cluster: one of its two workers is gone afterwards."""
-    monkeypatch.setattr(evaluations, "evaluate_task", partial(die_once_at_7_um, mark=tmp_path / "killed"))
+    monkeypatch.setattr(evaluate, "evaluate_task", partial(die_once_at_7_um, mark=tmp_path / "killed"))
     pixsim.study(toml, tmp_path / "out", scheduler=cluster)
     assert (tmp_path / "killed").exists()
     assert (tmp_path / "out/results.csv").read_bytes() == expected

@@ -8,7 +8,7 @@ import pixsim
 from pixsim import Camera, PixsimError, SpectralImage, study
 from pixsim.report.axes import axes_page
 from pixsim.show.render import html
-from pixsim.studies.conditions import condition_regrets
+from pixsim.studies.regret import condition_regrets
 
 SMALL = """name = "small"
 repeats = 2

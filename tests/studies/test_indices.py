@@ -9,7 +9,7 @@ import pytest
 from scipy.special import ndtri
 from scipy.stats import chi2, qmc
 
-from pixsim.studies.indices import Share, first_order, ratio_of_means, saltelli, total_indices
+from pixsim.studies.uncertainty import Share, first_order, ratio_of_means, saltelli, total_indices
 
 ABC = {"a": [0], "b": [1], "c": [2]}
 

@@ -6,13 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.tiny import tiny
+from helpers.tiny import lit_sensors, tiny
 
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.studies.keys import light_hash
-from pixsim.studies.series import scenes_of, series_of
-from pixsim.studies.study_settings import Study
+from pixsim.studies.settings import Study
 
 NAMES = "name", "streams"  # their content is that of the random streams
 PITCH_UM = 6.0
@@ -61,7 +60,7 @@ CHANGES: dict[str, tuple[Any, str]] = {
 
 
 def stages(study: Study) -> dict[str, str]:
-    hashes = series_of(study, scenes_of(study, LIGHT, Camera()))[0].fingerprints
+    hashes = lit_sensors(study, LIGHT, Camera())[0].fingerprints
     return {"light": light_hash(study), "frame": hashes.pixel(PITCH_UM), "score": hashes.keys(PITCH_UM, 2)[1]}
 
 

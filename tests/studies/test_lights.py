@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 
 from pixsim.studies import film_error
-from pixsim.studies.cases import Case
+from pixsim.studies.design import Case
 from pixsim.studies.engine import Workers
-from pixsim.studies.lights import Light, lights_of_cases, render_for
-from pixsim.studies.preparation import prepare
-from pixsim.studies.study_settings import Study
+from pixsim.studies.lights import Light, render_for, render_lights
+from pixsim.studies.prepare import prepare
+from pixsim.studies.settings import Study
 from pixsim.viewer.merging import merge
 
 LIGHT = {"name": "light", "set": ["scene.parameters.luminance_cd_per_m2", "display.white_cd_per_m2"], "values": [10.0, 1000.0]}
@@ -24,7 +24,7 @@ SMALL |= {"display": {"dots": 32}, "pitch": {"values_um": [5.3, 6.0, 7.0, 8.5, 1
 def lights_of(**over: Any) -> dict[str, tuple[Case[Study], Light]]:
     """The cases of a study and their lights, by the words of the cases."""
     cases = prepare(Study.model_validate(merge(SMALL, over))).cases
-    lights = lights_of_cases(cases, lambda _: lambda *_: None, Workers(1), store=lambda image: image)
+    lights = render_lights(cases, lambda _: lambda *_: None, Workers(1), store=lambda image: image)
     return {case.words: (case, light) for case, light in zip(cases, lights, strict=True) if isinstance(light, Light)}
 
 

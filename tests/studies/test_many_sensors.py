@@ -83,7 +83,7 @@ def test_jobs_change_no_number_and_another_light_does():
     """Two lights whose headers say the same, in the workers of one another: their chains are not mixed up."""
     own = {"camera": CAMERA, "display": DISPLAY, "metrics": ["delta_e", mean_image], "repeats": 2}
     lights = [light_of(1), light_of(2)]
-    alone, together = ([sweep(light, SAME_SIZE, **own, jobs=jobs).rows for light in lights] for jobs in (1, 2))
+    alone, together = ([list(sweep(light, SAME_SIZE, **own, jobs=jobs)) for light in lights] for jobs in (1, 2))
     assert alone == together
     assert alone[0][0]["mean_delta_e"] != alone[1][0]["mean_delta_e"]
 
@@ -111,9 +111,9 @@ def test_table_is_rows_csv_and_frame(light, tmp_path, monkeypatch):
     assert (len(table), table[-1]["repeat"], table[:1][0]["pixel"]) == (2, 1, "007")
     assert "mean_delta_e" not in table[0], "which nobody asks for"
     mean = np.mean([row["mean_image"] for row in table])
-    assert f"<td>007</td><td>0.35um</td><td>10</td><td>{mean:.6g}</td>" in table._repr_html_()
-    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=tuple, read_csv=None))
-    assert table.to_dataframe() == table.rows
+    assert f"<td>0.35um</td><td>007</td><td>10</td><td>{mean:.6g}</td>" in table._repr_html_()
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=list, read_csv=None))
+    assert table.to_dataframe() == list(table)
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(PixsimError, match="pip install pandas"):
         table.to_dataframe()

@@ -21,19 +21,17 @@ import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.report.axes import axes_files, axes_page, axes_summary, optima_columns, regrets_columns
 from pixsim.report.study import study_document
-from pixsim.show.document import Fact, Table
+from pixsim.show.document import DocumentTable, Fact
 from pixsim.show.render import text
-from pixsim.studies.conditions import condition_regrets
-from pixsim.studies.lineup import prepare as lineup
-from pixsim.studies.optimum import fit_curve
-from pixsim.studies.pixels import photodiode_widths_um
-from pixsim.studies.preparation import prepare
-from pixsim.studies.quanta import quanta_of_study
-from pixsim.studies.regret import metric_regrets, percent, share_of_best
-from pixsim.studies.result import Curve, StudyResult, fit_of_metric, shown_mean_and_ci95, told_pitches
-from pixsim.studies.sentences import contrast_words, study_facts
-from pixsim.studies.settings_text import settings_text
-from pixsim.studies.study_file import load_study
+from pixsim.studies import sensors
+from pixsim.studies.files import load_study, settings_text
+from pixsim.studies.merit import quanta_of_study
+from pixsim.studies.optimum import fit_curve, fit_of_metric, told_pitches
+from pixsim.studies.prepare import prepare
+from pixsim.studies.regret import condition_regrets, metric_regrets, share_of_best
+from pixsim.studies.result import Curve, StudyResult, shown_mean_and_ci95
+from pixsim.studies.sentences import contrast_words, percent, regrets_tables, study_facts
+from pixsim.studies.sizes import photodiode_widths_um
 from pixsim.studies.threshold import MOST_RENDERS, Search, Threshold
 from pixsim.viewer.metric_options import MetricOptions
 from pixsim.viewer.metric_registry import METRICS, metrics_named
@@ -89,7 +87,7 @@ def test_regrets_of_metrics_match_closed_forms() -> None:
     assert [criterion.name for criterion in regrets.criteria] == ["mean ΔE", "information"]
     wanted = np.log(4.2 / 2.4) ** 2
     np.testing.assert_allclose(regrets.matrix, [[0.0, wanted], [wanted, 0.0]], atol=0.05)  # sizes are known to 2 %
-    _, matrix = regrets.tables()
+    _, matrix = regrets_tables(regrets)
     assert next(iter(matrix.rows)) == ("1 mean ΔE", "–", percent(regrets.matrix[0, 1]))
 
 
@@ -359,7 +357,7 @@ def test_study_and_comparison_say_that_only_a_run_searches() -> None:
     with pytest.warns(UserWarning, match=message):
         prepare(tiny(scene={"file": "target"}, **sought))
     with pytest.warns(UserWarning, match=message):
-        lineup(["0.35um", "4t-bsi"], "target", match="view", repeats=2, options=sought)
+        sensors.prepare(["0.35um", "4t-bsi"], "target", match="view", repeats=2, options=sought)
 
 
 def test_metrics_are_checked_before_a_render(tmp_path: Path) -> None:
@@ -438,7 +436,7 @@ def test_nothing_is_left_of_a_metric_at_a_size_where_it_is_zero() -> None:
     infinite = replace(regrets.criteria[0], optimum=replace(regrets.criteria[0].optimum, pitch_um=6.0))
     at_zero = replace(regrets, criteria=(infinite, regrets.criteria[1]))
     assert at_zero.as_dict()["regret"][1][0] is None
-    _, matrix = at_zero.tables()
+    _, matrix = regrets_tables(at_zero)
     assert [*matrix.rows][1] == ("2 information", "∞", "–")
 
 
@@ -486,7 +484,7 @@ def test_study_of_conditions_judges_by_any_metric_first(tmp_path: Path) -> None:
     values = [optimum["value"] for optimum in first["optima"]]
     assert 0.9 * np.mean(values[:2]) < values[2] <= np.mean(values[:2]), "no size is better than each condition's own"
     page = axes_page(result, regrets, {}, [])
-    tables = [block for block in page.sections[0].blocks if isinstance(block, Table)]
+    tables = [block for block in page.sections[0].blocks if isinstance(block, DocumentTable)]
     assert len(tables) == 2 * len(regrets) == 8, "best sizes and regrets, at two values of the axis, by two metrics"
     names = {"information_by_pitch_and_f.svg", "optimum_by_f.svg", "regrets_1.svg"}
     assert names <= {Path(name).name for name in axes_files(result.study)}

@@ -11,8 +11,8 @@ from helpers.tiny import tiny, tiny_toml
 import pixsim
 from pixsim.base.errors import PixsimError, name_fault
 from pixsim.base.problems import MAX_PROBLEMS
-from pixsim.studies.cases import cases_of
-from pixsim.studies.preparation import check_technologies
+from pixsim.studies.design import cases_of
+from pixsim.studies.prepare import check_technologies
 
 BAD = ("=1+1", "+x", "-x", "@SUM(A1)", "\uff1dx", "a\x1b[2J", "a\u202eb", "a\u009bb", "a\tb", "a\nb", "\x7f")
 GOOD = ("-0.5", "+3", "night", "f/2.8", "Ä 1", "0.35um", "a-b", "1e-3")

@@ -45,12 +45,13 @@ from pixsim.studies.claims import (
     rise,
     threshold_contrast,
 )
+from pixsim.studies.files import load_study
 from pixsim.studies.merit import mpe30_lx_s, mtf50_cy_per_mm, sensitivity_e_per_lx_s_um2, shown_mtf, study_mtf_terms, system_mtf
 from pixsim.studies.optimum import fit_curve
-from pixsim.studies.pixels import pixel_of
 from pixsim.studies.result import Curve, StudyResult
-from pixsim.studies.study_file import load_study
-from pixsim.studies.study_settings import Study
+from pixsim.studies.sentences import pairs_at_best_sizes
+from pixsim.studies.settings import Study
+from pixsim.studies.sizes import pixel_of
 from pixsim.viewer.mtf import mtf_terms
 
 Array = np.ndarray
@@ -549,3 +550,13 @@ def test_evidence_maps_are_mean_of_eight_sensors() -> None:
     result = lit(ONE_LINE, 10.0, np.ones(1), given=dict.fromkeys(THRESHOLDS, maps))
     assert all((item == 3.5).all() for item in Evidence(result, {}).maps.values())
     assert FIGURE_2_INTEGRATION_S == 0.030  # stated in the paper's Figure 2
+
+
+def test_study_of_several_sensors_says_which_is_better_at_its_best_size() -> None:
+    """Without scatter the line has the difference of the least mean ΔE; equal sensors are not told apart."""
+    worse, better = curve_of("0.35um", 6.5, 1.0), curve_of("0.18um", 4.0, 0.7)
+    (line,) = pairs_at_best_sizes([worse, better])
+    assert line.startswith("0.18um is better than 0.35um, each at its best size, by 0.3")
+    (line,) = pairs_at_best_sizes([worse, curve_of("0.25um", 5.0, 1.0)])
+    assert line.startswith("0.35um and 0.25um cannot be told apart at their best sizes: ")
+    assert pairs_at_best_sizes([worse]) == []

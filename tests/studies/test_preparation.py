@@ -23,15 +23,15 @@ from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.renderer import Renderer
 from pixsim.sensor.pixel_options import PixelOptions
 from pixsim.studies.cost import Cost, study_cost
+from pixsim.studies.files import load_study
 from pixsim.studies.lights import render_for
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E, fit_curve
-from pixsim.studies.preparation import BYTES_PER_PIXEL, MAX_FRAME_BYTES, choose_view, fitted_range, prepare
+from pixsim.studies.prepare import BYTES_PER_PIXEL, MAX_FRAME_BYTES, choose_view, fitted_range, prepare
 from pixsim.studies.result import WIDE_RATIO, Curve, StudyResult
 from pixsim.studies.run import prepare as prepare_run
-from pixsim.studies.sampling import study_pitches_um
 from pixsim.studies.sentences import optimum_line, optimum_words
-from pixsim.studies.study_file import load_study
-from pixsim.studies.study_settings import Study
+from pixsim.studies.settings import Study
+from pixsim.studies.sizes import study_pitches_um
 from pixsim.viewer.scene_light import SCENE_CACHE_BYTES
 from pixsim.viewer.setting import Run
 
@@ -184,7 +184,7 @@ def test_toml_options_and_python_make_the_same_study(tmp_path: Path) -> None:
         json.loads(quiet_command(f"study {words} --config {sheet} --dry-run --json")) for words in (own, f"{bare} {options}")
     ]
     assert outlines[0] == outlines[1]
-    assert (outlines[0]["evaluations"], outlines[0]["seed"], outlines[0]["display"]["gamma"]) == (10, 3, 2.0)
+    assert (outlines[0]["evaluations"], outlines[0]["seed"], outlines[0]["display"]["gamma"]) == (3 * 10, 3, 2.0)
     studies = (
         load_study(own, config=sheet),
         load_study(bare, config=sheet, scene="slanted_edge", parameters=SMALL, **more, **tables),
@@ -367,7 +367,10 @@ def test_dry_run_counts_what_the_study_does(tmp_path: Path) -> None:
     assert done.curves[0].pitch_um.tolist() == sensor["pitch_um"]
     made = {name: outline["estimate"][name] for name in ("renders", "evaluations")}
     assert made == {"renders": 1, "evaluations": len(rows(tmp_path / "out"))}
-    assert len(rows(tmp_path / "out")) == len(sensor["pitch_um"]) * sensor["sensors"]
+    made_of = [row["dots"] for row in rows(tmp_path / "out")]
+    stated = str(done.study.display.dots)
+    assert made_of.count(stated) == len(sensor["pitch_um"]) * sensor["sensors"]
+    assert len(made_of) - made_of.count(stated) == len(sensor["pitch_um"]) * 2 * 2, "two sensors of each size on two displays"
     assert done.study.display.dots == outline["display"]["dots"]
     assert done.irradiance.shape == tuple(outline["film"]["samples"])
 

@@ -14,7 +14,7 @@ from helpers.tiny import rows
 import pixsim
 from pixsim.base.schema import SCHEMA, json_text
 from pixsim.report.run import run_document
-from pixsim.studies.results_file import ResultsFile
+from pixsim.studies.store import Store
 from pixsim.viewer.settings_file import run_settings
 
 DATA = Path(__file__).parents[1] / "data" / "release_1_0_0"
@@ -28,7 +28,7 @@ def study(tmp_path: Path) -> Path:
 
 
 def test_rows_are_kept_apart_and_their_release_named(study: Path) -> None:
-    results, before = ResultsFile(study / "results.csv"), (study / "results.csv").read_bytes()
+    results, before = Store(study / "results.csv"), (study / "results.csv").read_bytes()
     said = r"the rows of '.*results.csv' are of pixsim 1.0.0. They are kept in 'results.csv.old', and computed again; only"
     with pytest.warns(UserWarning, match=said):
         assert not results.resume(lambda _: False)
@@ -40,7 +40,7 @@ def test_rows_of_an_interrupted_study_are_named_without_a_release(study: Path) -
     """Its folder has no provenance.json yet."""
     (study / "provenance.json").unlink()
     with pytest.warns(UserWarning, match=r"are of other settings, or of another version of pixsim\. They are kept in"):
-        ResultsFile(study / "results.csv").resume(lambda _: False)
+        Store(study / "results.csv").resume(lambda _: False)
 
 
 def test_rows_of_this_version_under_other_settings_need_no_words(study: Path) -> None:
@@ -48,7 +48,7 @@ def test_rows_of_this_version_under_other_settings_need_no_words(study: Path) ->
     (study / "provenance.json").write_text(text.replace('"pixsim": "1.0.0"', f'"pixsim": "{pixsim.__version__}"'), encoding="utf-8")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert not ResultsFile(study / "results.csv").resume(lambda _: False)
+        assert not Store(study / "results.csv").resume(lambda _: False)
 
 
 def test_settings_of_a_study_are_those_of_its_rows(study: Path) -> None:

@@ -134,7 +134,7 @@ def test_interval_is_that_of_student(many: RunResult) -> None:
 
 def test_intervals_of_few_sensors_cover_the_mean_of_many(many: RunResult) -> None:
     """Of 100 groups of 4 sensors 95 contain it; 88 to 100 are within 3.2 σ, and half of their width would leave 79."""
-    groups = [replace(many, statistics=many.statistics[first : first + 4]).interval_delta_e for first in range(0, MANY, 4)]
+    groups = [replace(many, table=many.table.take(np.arange(first, first + 4))).interval_delta_e for first in range(0, MANY, 4)]
     covered = sum(low <= many.mean_delta_e <= high for low, high in filter(None, groups))
     assert 88 <= covered <= 100
     mean = many.mean_delta_e

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,27 +13,26 @@ import numpy as np
 import pytest
 from benchmarks.dense_sweeps import beside_an_end as beside_an_end_study
 from helpers.dense_curves import SimulatedStudy, simulated, truth_of
-from helpers.tiny import keys, rows, tiny as tiny_study, tiny_toml
+from helpers.tiny import keys, tiny as tiny_study, tiny_toml
 
 import pixsim
 from pixsim.base.notes import told_apart
 from pixsim.sensor.readout import Frame
-from pixsim.studies.allocation import (
+from pixsim.studies.optimum import STEEP, FittedCurve, Posterior, fit_curve
+from pixsim.studies.result import Curve, StudyResult, curve_of, open_notes, target_notes
+from pixsim.studies.rounds import (
     BEYOND,
     MAX_OPEN,
     MIN_RATIO,
     ROUND,
     SENSORS_PER_ADDITION,
     additions,
+    next_round,
     next_sensors,
     next_where_open,
     predicted_variance,
 )
-from pixsim.studies.optimum import STEEP, FittedCurve, Posterior, fit_curve
-from pixsim.studies.result import Curve, StudyResult, curve_of, open_notes, target_notes
-from pixsim.studies.rows import Row
-from pixsim.studies.study import next_round
-from pixsim.viewer.metrics import Metric
+from pixsim.studies.table import Table
 
 Sensors = dict[float, int]
 PITCH = np.geomspace(5.3, 15, 9).round(4)
@@ -391,17 +390,17 @@ def test_study_fits_only_curves_with_new_rows(tmp_path: Path, monkeypatch: pytes
     """There is room for one round, of the first technology; each curve is that of all of its rows."""
     fitted: list[str] = []
 
-    def counted(study: pixsim.Study, technology: str, own: Sequence[Row], metrics: tuple[Metric, ...]) -> Curve:
+    def counted(study: pixsim.Study, technology: str, table: Table, label: str) -> Curve:
         fitted.append(technology)
-        return curve_of(study, technology, own, metrics)
+        return curve_of(study, technology, table, label=label)
 
-    monkeypatch.setattr("pixsim.studies.study.curve_of", counted)
+    monkeypatch.setattr("pixsim.studies.rounds.curve_of", counted)
     names = ["0.35um", "0.25um"]
     result = pixsim.study(tiny(technologies=names, max_evaluations=24 + 8), tmp_path, jobs=1)
     assert sorted(fitted[:2]) == sorted(names)
     assert fitted[2:] == names[:1]
     for curve in result.curves:
-        whole = curve_of(result.study, curve.technology, [row for row in rows(tmp_path) if row["technology"] == curve.technology])
+        whole = curve_of(result.study, curve.technology, result.table.where(technology=curve.technology))
         assert curve.sensors.sum() == (20 if curve.technology == names[0] else 12)
         assert curve.optimum == whole.optimum
         np.testing.assert_array_equal(curve.fit.delta_e, whole.fit.delta_e)

@@ -26,10 +26,11 @@ from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.spread import Spread
 from pixsim.sensor.technology import Technology, load_technology
+from pixsim.studies.drawn_types import unknowns_of_study
+from pixsim.studies.layers import with_data_sheets
 from pixsim.studies.optimum import fit_curve
-from pixsim.studies.pixels import technology_of
-from pixsim.studies.study_layers import with_data_sheets
-from pixsim.studies.study_settings import Study
+from pixsim.studies.settings import Study
+from pixsim.studies.sizes import technology_of
 from pixsim.studies.uncertainty import (
     NORMAL_95,
     SCATTER,
@@ -45,7 +46,6 @@ from pixsim.studies.uncertainty import (
     settings_of,
     sobol_points,
     unknowns_of_sheet,
-    unknowns_of_study,
     unknowns_of_technology,
 )
 from pixsim.viewer.merging import merge

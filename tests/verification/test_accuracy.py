@@ -82,14 +82,14 @@ def test_reference_is_one_whose_own_error_is_below_a_third_of_the_smallest_shown
     own: float, is_sure: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Films that err by 0.04, 0.02 and 0.01."""
-    demand = ladder.demand_of(ladder.Case(Run.model_validate(SMALL), found=scene_and_camera()))
+    request = ladder.light_request(ladder.Case(Run.model_validate(SMALL), resolved=scene_and_camera()))
 
-    def measured(demand: object, imaging: object, across: int, *_: object) -> tuple[Rung, object]:
+    def measured(request: object, imaging: object, across: int, *_: object) -> tuple[Rung, object]:
         error = 0.0 if across > 256 else 2.56 / across
         return rung(across, own if across > 256 else error, 1.0 + error), None
 
     monkeypatch.setattr(ladder, "_measure", measured)
-    rungs, reference = ladder.climb(demand, 256, ladder.EFFORTS, no_stage(""))
+    rungs, reference = ladder.climb(request, 256, ladder.EFFORTS, no_stage(""))
     assert (reference is not None) == is_sure
     errors = [each.error_delta_e for each in rungs]
     assert errors == pytest.approx([0.04, 0.02, 0.01] if is_sure else [math.nan] * 3, nan_ok=True)

@@ -21,7 +21,7 @@ from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import Frame, make_frame
-from pixsim.studies.settings_text import settings_text
+from pixsim.studies.files import settings_text
 from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.demosaic import remosaic
 from pixsim.viewer.denoising import wiener

@@ -23,7 +23,7 @@ from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import frame_variance_dn2, sample_sensor
 from pixsim.show.render import text
-from pixsim.studies.noise_budgets import noise_budgets
+from pixsim.studies.merit import noise_budgets
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.noise_budget import (

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.chains import imaging_chain, scene_of
+from helpers.tiny import lit_sensors
 
 import pixsim
 from pixsim.light.spectral import SpectralImage
-from pixsim.studies.series import scenes_of, series_of
-from pixsim.studies.study_settings import Study
+from pixsim.studies.settings import Study
 from pixsim.viewer import scielab
 from pixsim.viewer.develop_options import DEVELOP, Develop
 from pixsim.viewer.display import RGB_FROM_XYZ, WHITE_XYZ, out_of_gamut_share, rgb_to_xyz
@@ -105,9 +105,9 @@ def test_a_tolerance_below_the_bound_takes_float64():
     keys, kinds = [], []
     for tolerance in (None, 1e-2, 1e-5):
         study = Study.model_validate(table | {"tolerance_delta_e": tolerance})
-        scenes = scenes_of(study, image(), camera)
-        keys += series_of(study, scenes)[0].fingerprints.shown
-        kinds.append(scenes.imaging.single)
+        (lit,) = lit_sensors(study, image(), camera)
+        keys += lit.fingerprints.shown
+        kinds.append(lit.scenes.imaging.single)
     assert kinds == [True, True, False]
     assert keys[0] == keys[1] != keys[2]
 

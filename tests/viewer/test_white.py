@@ -24,7 +24,7 @@ from pixsim.optics.exchange import write_npz
 from pixsim.scene.packaged import packaged_scenes
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.studies.comparison import Comparison
-from pixsim.studies.light_level import LightLevel
+from pixsim.studies.merit import LightLevel
 from pixsim.viewer.display import XYZ_FROM_RGB
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.screen import amount_of_white, fraction_beyond_white, ideal_on_dots, screen_rendition, white_header
@@ -131,15 +131,15 @@ def test_sensors_of_a_comparison_share_one_white(tmp_path: Path) -> None:
     def white(order: list[Any]) -> tuple[float, Comparison]:
         with pytest.warns(UserWarning, match="does not define its white"):
             result = pixsim.compare(order, own, display={"dots": 32}, resolution=48, render_noise=5.0, repeats=2, jobs=1)
-        (one,) = {sensor.irradiance.header["luminance_cd_per_m2"] for sensor in result.sensors}
+        (one,) = {sensor.light.image.header["luminance_cd_per_m2"] for sensor in result.sensors}
         return one, result
 
     first, result = white(files)
     assert first == white(files[::-1])[0]
     for sensor in result.sensors:
-        lineup, camera = result.shown.lineup, sensor.sensor.camera
-        seen = imaging(camera, sensor.score.physics.pixel, display=lineup.settings.display, border_um=lineup.border_um(camera))
-        assert np.mean(amount_of_white(seen, sensor.irradiance) > first) <= 0.01
+        shown, camera = result.shown, sensor.case.camera
+        seen = imaging(camera, sensor.score.physics.pixel, display=shown.display, border_um=shown.border_um(camera))
+        assert np.mean(amount_of_white(seen, sensor.light.image) > first) <= 0.01
 
 
 # --- light that nobody sees ---

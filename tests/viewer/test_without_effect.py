@@ -29,14 +29,13 @@ from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.pixel_options import NUMBERS, DarkCurrent, Pixel
 from pixsim.sensor.stack_options import StackOptions
-from pixsim.studies import lineup
-from pixsim.studies.cases import Case, cases_of, with_range_ends
-from pixsim.studies.preparation import loaded_scene, prepare
+from pixsim.studies import sensors
+from pixsim.studies.design import Case, cases_of, with_range_ends
+from pixsim.studies.files import load_study
+from pixsim.studies.prepare import loaded_scene, prepare
 from pixsim.studies.run import prepare as prepare_run
-from pixsim.studies.sampling import study_pitches_um
-from pixsim.studies.series import metrics_of
-from pixsim.studies.study_file import load_study
-from pixsim.studies.study_settings import Study
+from pixsim.studies.settings import Study
+from pixsim.studies.sizes import metrics_of, study_pitches_um
 from pixsim.studies.without_effect import cases_to_try, settings_of_technology
 from pixsim.verification.ladder import NOT_TAKEN
 from pixsim.viewer.develop_options import Develop
@@ -336,7 +335,7 @@ def said(command: Run | Study, technology: str = "") -> set[str]:
     """Names of the settings without effect of a run, or of a technology of a study."""
     if isinstance(command, Run):
         return set(given_of(command).without_effect())
-    case = Case(command, found=(chart(), Camera()))
+    case = Case(command, resolved=(chart(), Camera()))
     return set(settings_of_technology(case, case, technology or command.technologies[0]).without_effect())
 
 
@@ -488,10 +487,10 @@ def test_every_command_says_so(tmp_path: Path) -> None:
         prepare_run(str(tmp_path / "light.npz"), asked)
     files = [sheet(tmp_path / f"{name}.toml", more=f"f_number = {stop}\n") for name, stop in (("a", 4.0), ("b", 5.6))]
     with pytest.warns(UserWarning, match=r"^b: camera\.f_number changes nothing here"):
-        lineup.prepare(files, match="view", repeats=2)
+        sensors.prepare(files, match="view", repeats=2)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        lineup.prepare(files, match="own", repeats=2, options={"camera": {"transmittance": 0.5}})
+        sensors.prepare(files, match="own", repeats=2, options={"camera": {"transmittance": 0.5}})
 
 
 def test_settings_of_metrics_in_calls_with_records_say_so() -> None:

@@ -12,7 +12,7 @@ from pixsim.base.notes import warn
 from pixsim.base.records import checked
 from pixsim.light.quantities import ILLUMINANCE, LUMINANCE
 from pixsim.sensor.pixel_options import DATA_SHEET, NO_TECHNOLOGY, SCALED_WITH_AREA, STANDS_FOR, missing_of_data_sheet
-from pixsim.studies.study_settings import Study
+from pixsim.studies.settings import Study
 from pixsim.viewer.merging import merged
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import packaged_sensors, settings_layer, warn_of_mixed_sensors

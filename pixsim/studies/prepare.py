@@ -8,7 +8,7 @@ that the sensor, the lens and the display can show. Both are chosen once a comma
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -36,13 +36,23 @@ from pixsim.sensor.pixel_options import PixelOptions
 from pixsim.sensor.spread import Uncertainty
 from pixsim.sensor.technology import check_name
 from pixsim.sensor.unit_slips import unit_slips
-from pixsim.studies.cases import BASE, Case, Job, cases_of, named, with_range_ends
-from pixsim.studies.pitch_range import PitchRange
-from pixsim.studies.pixels import physics_of, pixel_of, technology_of
-from pixsim.studies.sampling import BYTES_PER_PIXEL, border_on_um, first_sampling, largest_lens_um, study_pitches_um
-from pixsim.studies.series import metrics_of
-from pixsim.studies.study_settings import Study
-from pixsim.studies.varied import paths_of
+from pixsim.studies.axes import paths_of
+from pixsim.studies.design import BASE, Case, Job, cases_of, named, with_range_ends
+from pixsim.studies.keys import frames_fit_in_cache, point_count
+from pixsim.studies.settings import PitchRange, Study
+from pixsim.studies.sizes import (
+    BYTES_PER_PIXEL,
+    border_on_um,
+    first_sampling,
+    further_displays,
+    imaging_of,
+    largest_lens_um,
+    metrics_of,
+    physics_of,
+    pixel_of,
+    study_pitches_um,
+    technology_of,
+)
 from pixsim.studies.without_effect import cases_to_try, settings_of_technology
 from pixsim.viewer.display import dot_edges_um
 from pixsim.viewer.display_options import Display
@@ -50,6 +60,7 @@ from pixsim.viewer.metric_options import has_target
 from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, MetricContext, columns_of_metrics
 from pixsim.viewer.review import background_notes
 from pixsim.viewer.scene_light import check_background
+from pixsim.viewer.screen import allows_single
 from pixsim.viewer.setting import Run, Setting
 from pixsim.viewer.without_effect import warn_of_settings_without_effect
 
@@ -378,7 +389,10 @@ class StudyJob(Job[Study]):
     @property
     def evaluations(self) -> int:
         """Number of evaluations that the study starts with."""
-        return sum(sum(sum(sensors.values()) for sensors in first_sampling(case.settings).values()) for case in self.cases)
+        displays = [1 + len(case.others) for case in self.cases]
+        return sum(
+            point_count(count, shown) for case, shown in zip(self.cases, displays, strict=True) for count in case.sizes.values()
+        )
 
 
 def prepare(
@@ -422,7 +436,42 @@ def prepare(
     # A chart that not all cases have stays chosen: settings.toml cannot state its end for all of them.
     kept = view if all(_same_chart(each.settings, own) for each in found) else without_chart(view)
     base, scene = with_view(study, kept) if study.has_cases else None, source_with_view(scene, view)
-    return StudyJob(asked=asked, base=base, source=scene, view=view, cases=tuple(found), variant=variant)
+    asked_displays = [case.settings.display for case in cases]
+    sensors = tuple(
+        replace(case, others=_further_displays(case, display))
+        for combination, display in zip(found, asked_displays, strict=True)
+        for case in cases_of_sensors(combination)
+    )
+    return StudyJob(asked=asked, base=base, source=scene, view=view, cases=sensors, variant=variant)
+
+
+def _further_displays(case: Case[Study], stated: Display) -> tuple[Display, ...]:
+    """Return further displays on which frames of a data sheet's sensor are shown: nobody knows its display.
+
+    stated : the display, as the user stated it
+    """
+    study, imaging = case.settings, case.imaging
+    if study.own_um is None or imaging is None or imaging.border_um is None:
+        return ()
+    return further_displays(stated, imaging.display, case.camera.die_um, imaging.pixel.pitch_um, imaging.border_um)
+
+
+def cases_of_sensors(combination: Case[Study]) -> Iterator[Case[Study]]:
+    """Yield a case for each technology and data sheet of a study without axes."""
+    study, camera = combination.settings, combination.camera
+    caches_frames = frames_fit_in_cache(study, camera)
+    for name in study.technologies:
+        pitches_um = study_pitches_um(study, name).tolist()
+        imaging = imaging_of(study, camera, name, pitches_um[-1])
+        yield replace(
+            combination,
+            sensor=name,
+            imaging=imaging.changed(single=allows_single(study.tolerance_delta_e), metrics=metrics_of(study, study.repeats)),
+            # The name of the technology, not its path, which is no part of a result.
+            stream=(study.stream_name, study.seed, imaging.physics.technology.name),
+            sizes=dict.fromkeys(pitches_um, study.repeats),
+            caches_frames=caches_frames,
+        )
 
 
 def _warn_of_other_parts(cases: Sequence[Case[Study]]) -> None:
@@ -519,4 +568,4 @@ def _checked(case: Case[Study], source: Scene | SpectralImage, camera: Camera, w
     for technology in study.technologies:
         largest_um = float(study_pitches_um(study, technology).max())
         dot_edges_um(camera.die_um, largest_um, study.display, border_on_um(study, camera))
-    return replace(case, found=(source, camera), without=without)
+    return replace(case, resolved=(source, camera), without=without)

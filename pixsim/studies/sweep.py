@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, overload
-
-import numpy as np
+from typing import Any
 
 from pixsim.base.arguments import Count, Jobs, Whole, checks_arguments
 from pixsim.base.errors import invalid, name_fault
@@ -22,78 +18,26 @@ from pixsim.sensor.motion_options import STILL, Motion
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.technology import load_technology
 from pixsim.sensor.unit_slips import unit_slips
-from pixsim.show.document import Document, Table
-from pixsim.show.pages import dataframe_of, rows_csv
-from pixsim.show.render import notebook
-from pixsim.studies.cases import named
+from pixsim.studies.design import Case, named
 from pixsim.studies.engine import workers_here
-from pixsim.studies.evaluations import check_ideals, rows_of
-from pixsim.studies.result import causes_of_rows
-from pixsim.studies.series import Series
+from pixsim.studies.evaluate import check_ideals, evaluate_points, lit_cases
+from pixsim.studies.lights import Light
+from pixsim.studies.result import causes_of_frames
+from pixsim.studies.table import Table
 from pixsim.viewer.develop_options import DEVELOP, Develop, check_develop
 from pixsim.viewer.display import dot_edges_um, picture_size_um
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.metric_registry import metrics_named
-from pixsim.viewer.metrics import PIXEL_STATISTICS, Metric, MetricContext, MetricRequest, columns_of_metrics, columns_with_numbers
+from pixsim.viewer.metrics import MetricContext, MetricRequest
 from pixsim.viewer.review import background_notes, camera_notes
-from pixsim.viewer.scene_light import SceneCache, SceneLight
 from pixsim.viewer.score import Score
-from pixsim.viewer.screen import warn_of_clipping, white_header, with_white
+from pixsim.viewer.screen import IdealFacts, warn_of_clipping, white_header, with_white
+from pixsim.viewer.setting import Run
 from pixsim.viewer.without_effect import GivenSettings, warn_of_settings_without_effect
 
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
 PIXEL = "pixel"
-
-
-@dataclass(frozen=True, repr=False)
-class SensorTable(Sequence[dict[str, Any]]):
-    """The rows of `pixsim.sweep`, one for each pixel and repeat.
-
-    rows : {"pixel": its place or name, "technology": …, "pitch_um": …, "repeat": …, and the numbers of the pixel, of its frame
-        and of each metric}
-    metrics : in the order of their columns
-    """
-
-    rows: tuple[dict[str, Any], ...]
-    metrics: tuple[Metric, ...]
-
-    @overload
-    def __getitem__(self, index: int) -> dict[str, Any]: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[dict[str, Any]]: ...
-    def __getitem__(self, index: int | slice) -> dict[str, Any] | Sequence[dict[str, Any]]:
-        return self.rows[index]
-
-    def __len__(self) -> int:
-        return len(self.rows)
-
-    @checks_arguments
-    def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
-        """Return the rows as CSV, and write it to `path` if given."""
-        return rows_csv(self.rows, path)
-
-    def to_dataframe(self) -> DataFrame:
-        """Return the rows as a pandas.DataFrame. Raises PixsimError without pandas."""
-        return dataframe_of(self.rows)
-
-    def _repr_html_(self) -> str:
-        repeats = self.rows[-1]["repeat"] + 1
-        names = [metric.columns[0] for metric in self.metrics]
-        lines = []
-        for first in range(0, len(self), repeats):
-            row, own = self.rows[first], self.rows[first : first + repeats]
-            means = [f"{np.mean([each[name] for each in own]):.6g}".replace("nan", "–") for name in names]
-            lines.append((str(row[PIXEL]), row["technology"], f"{row['pitch_um']:g}", *means))
-        head = PIXEL, "technology", "size (µm)", *(metric.label for metric in self.metrics)
-        caption = f"{len(lines)} pixels, " + (f"means over {repeats} sensors of each" if repeats > 1 else "a sensor of each")
-        return notebook(Document("", "", "", {}, cell=(Table(caption, head, tuple(lines), caption, words=(1,)),)))
-
-    def __repr__(self) -> str:
-        return f"<SensorTable of {len(self)} rows: {', '.join(metric.name for metric in self.metrics)}>"
 
 
 @checks_arguments
@@ -113,7 +57,7 @@ def sweep(
     repeats: Count = 1,
     seed: Whole = 0,
     jobs: Jobs | None = None,
-) -> SensorTable:
+) -> Table:
     """Evaluate many sensors in one light, rendered or of another program.
 
     The frames are those of `pixsim.evaluate`, and of `pixsim run --repeats`, with the same seed, bit for bit; equal sensors have
@@ -161,13 +105,7 @@ def sweep(
     with collected_notes():
         for note in (*background_notes(request.names, without), *camera_notes(camera, light)):
             warn(note)
-        for name, imaging in asked.items():
-            with named(f"pixel {name}"):
-                check_pixel(imaging, light, has_background=without is not None)
-            for note in unit_slips(imaging.pixel):
-                warn(f"pixel {name}: {note}")
-            for note in light_notes(imaging.physics, camera, light):
-                warn(note)
+        check_pixels(asked, light, has_background=without is not None)
         warn_of_settings_without_effect({"": (GivenSettings.of_records(imaging, light) for imaging in asked.values())})
 
         # All are scored on the dots that the largest pixels leave, with one white.
@@ -176,38 +114,47 @@ def sweep(
         white = white_header([(imaging, light) for imaging in scored.values()])
         scored = {name: imaging.changed(display=with_white(imaging.display, white)) for name, imaging in scored.items()}
         first, *_ = scored.values()
-        channels = max(len(imaging.physics.channels) for imaging in scored.values())
-        scenes = SceneCache(first, SceneLight(light.identified, without), channels)
-        series = [
-            Series(
-                imaging.physics.technology.name,
-                imaging,
-                scenes,
-                ("evaluate", seed),
-                False,
-                {PIXEL: str(name)},
-                f"pixel {name}",
-                stored=False,
+        cases = [
+            Case(
+                Run(pixel=imaging.pixel, seed=seed),
+                sensor=imaging.physics.technology.name,
+                labels={PIXEL: name},
+                group=0,
+                imaging=imaging,
+                stream=("evaluate", seed),
+                stream_has_pitch=False,
+                sizes={imaging.pixel.pitch_um: repeats},
             )
             for name, imaging in scored.items()
         ]
-        check_ideals(series)
-        found = rows_of(series, repeats, None, None if jobs is None else workers_here(jobs), tell=warn)
-        facts = {one.light_id: scenes.ideal_facts(one.light_key, one.imaging) for one in series}
-        for one, of_pixel in zip(series, found, strict=True):
-            for cause in causes_of_rows(light, one.imaging, facts[one.light_id].lightness, of_pixel):
+        lit = lit_cases(cases, [Light(light.identified, camera, without=without)] * len(cases))
+        check_ideals(lit)
+        table = evaluate_points(lit, None, None if jobs is None else workers_here(jobs))
+        of_light: dict[object, IdealFacts] = {}
+        for one, rows in zip(lit, table.by_case(), strict=True):
+            where = f"pixel {one.case.labels[PIXEL]}"
+            for reason in dict.fromkeys(rows.reasons.values()):
+                warn(f"{where}: {reason}")
+            if not len(rows.possible):
+                continue
+            if one.light_id not in of_light:
+                of_light[one.light_id] = one.scenes.ideal_facts(one.light_key, one.imaging)
+            for cause in causes_of_frames(light, one.imaging, of_light[one.light_id].lightness, rows.possible):
                 if cause.leaves_nothing:
-                    warn(f"{one.words}: {cause}")
-        warn_of_clipping(max(each.beyond_white for each in facts.values()), light.header, first.display)
-    every = {name: np.array([float(row[name]) for rows in found for row in rows]) for name in columns_of_metrics(request.chosen)}
-    numbers = *PIXEL_STATISTICS, *columns_with_numbers(request.chosen, every)
-    rows = [
-        {PIXEL: name, "technology": row["technology"], "pitch_um": float(row["pitch_um"]), "repeat": int(row["repeat"])}
-        | {column: float(row[column]) for column in numbers}
-        for name, of_pixel in zip(asked, found, strict=True)
-        for row in of_pixel
-    ]
-    return SensorTable(tuple(rows), request.chosen)
+                    warn(f"{where}: {cause}")
+        warn_of_clipping(max((facts.beyond_white for facts in of_light.values()), default=0.0), light.header, first.display)
+    return table
+
+
+def check_pixels(asked: Mapping[Any, Imaging], light: SpectralImage, *, has_background: bool) -> None:
+    """Raise PixsimError for one of several pixels, by its name, as `check_pixel`; warn of doubtful numbers and stacks."""
+    for name, imaging in asked.items():
+        with named(f"pixel {name}"):
+            check_pixel(imaging, light, has_background=has_background)
+        for note in unit_slips(imaging.pixel):
+            warn(f"pixel {name}: {note}")
+        for note in light_notes(imaging.physics, imaging.camera, light):
+            warn(note)
 
 
 def check_pixel(imaging: Imaging, light: SpectralImage, *, has_background: bool) -> None:

@@ -11,16 +11,16 @@ from pixsim.base.machine import processors
 from pixsim.optics.camera import Camera
 from pixsim.sensor.integration import pixels_on
 from pixsim.studies.cost import frame_cost, run_cost, study_cost
+from pixsim.studies.drawn_types import drawn_metrics
 from pixsim.studies.film_error import film_error, samples_per_dot
 from pixsim.studies.keys import light_hash
-from pixsim.studies.lights import Demand, demand_of
+from pixsim.studies.lights import LightRequest, light_request
 from pixsim.studies.run import NOISE_SENSORS
-from pixsim.studies.sampling import study_pitches_um
-from pixsim.studies.sensor_types import drawn_metrics
+from pixsim.studies.sizes import study_pitches_um
 
 if TYPE_CHECKING:
     from pixsim.scene.plan import Plan
-    from pixsim.studies.preparation import StudyJob
+    from pixsim.studies.prepare import StudyJob
     from pixsim.studies.run import RunJob
 
 
@@ -34,8 +34,8 @@ def planned_run(prepared: RunJob) -> dict[str, Any]:
         plan, shape = None, (picture.shape[0], picture.shape[1])
         planned = {"film": {"samples": list(picture.shape), "pitch_um": picture.pitch_um}}
     else:
-        plan, shape = prepared.demand.plan, prepared.demand.shape
-        planned = planned_light(prepared.demand)
+        plan, shape = prepared.request.plan, prepared.request.shape
+        planned = planned_light(prepared.request)
     frame = frame_cost(camera, pitch_um, settings.display)
     evaluations = repeats + frames + (NOISE_SENSORS - 1) * (repeats > 1)
     cost = run_cost(plan, shape, processors().usable, evaluations, frame)
@@ -55,23 +55,24 @@ def planned_study(job: StudyJob, jobs: int | None = None, types: int = 0) -> dic
     jobs : processes; None means as many as it would take
     types : number of sensor types of --uncertainty or --sobol
     """
-    study, demand = job.settings, demand_of(job.cases[0])
-    lights = len({light_hash(case.settings) for case in job.cases})
-    of_cases = [(case.settings, case.camera) for case in job.cases]
+    study, request = job.settings, light_request(job.cases[0])
+    lights = len({light_hash(case.settings) for case in job.combinations})
+    of_cases = [(case.settings, case.camera) for case in job.combinations]
     drawn = types * len(drawn_metrics(study))  # each metric has pixel sizes of its own
-    cost = study_cost(of_cases, lights, demand.plan, demand.shape, jobs, drawn)
+    checked = job.evaluations - sum(sum(case.sizes.values()) for case in job.cases)
+    cost = study_cost(of_cases, lights, request.plan, request.shape, jobs, drawn, checked)
     sizes = {name: study_pitches_um(study, name).tolist() for name in study.technologies}
     sensors = [planned_sensors(name, pitches_um, study.repeats, job.camera) for name, pitches_um in sizes.items()]
-    planned = planned_light(demand) | {"sensors": sensors, "estimate": asdict(cost)}
+    planned = planned_light(request) | {"sensors": sensors, "estimate": asdict(cost)}
     planned |= {"study": study.name, "evaluations": job.evaluations}
     if types:
         planned["sensor_types"] = types
     if job.study.has_cases:
-        planned["cases"] = [{"at": case.at, "condition": case.condition, "alone": case.alone} for case in job.cases]
+        planned["cases"] = [{"at": case.at, "condition": case.condition, "alone": case.alone} for case in job.combinations]
     return planned | ({} if study.own_um is None else {"own_um": study.own_um})
 
 
-def planned_light(demand: Demand) -> dict[str, Any]:
+def planned_light(request: LightRequest) -> dict[str, Any]:
     """Return the film of a light, and what is known of its errors before there is light.
 
     samples, pitch_um, spp : of the film, rows and columns of samples, their pitch, and the rays of each in each pass
@@ -79,10 +80,10 @@ def planned_light(demand: Demand) -> dict[str, Any]:
     rays_a_pixel : limit of the rays on each pixel, of all passes together; None if only time limits them, 0 if there are none
     render_noise : its target, as a fraction of the sensor's noise
     """
-    (height, width), plan, smallest, settings = demand.shape, demand.plan, demand.measured[0], demand.settings
+    (height, width), plan, smallest, settings = request.shape, request.plan, request.measured[0], request.settings
     per_dot = samples_per_dot(width, smallest, plan.chart)
     rays = plan.most_samples / math.prod(pixels_on(smallest.camera.die_um, smallest.pixel.pitch_um))
-    pitch_um = 1e3 * demand.camera.die_mm / width
+    pitch_um = 1e3 * request.camera.die_mm / width
     errors = {
         "film_share": film_error(0.0, 0.0, 1.0, per_dot),
         "rays_a_pixel": 0.0 if plan.exact else None if settings.max_seconds else rays,

@@ -1,4 +1,4 @@
-"""Cases and jobs: the settings of a frame, or of frames of many pixel sizes, with what tells them from the other ones of a command.
+"""Cases and jobs: sensors with complete settings, and what tells them from the other ones of a command.
 
 The axes and conditions of a study make cases of it, each a study of pixel sizes without axes. A study without them is its own only
 case. In a comparison each sensor is a case, under each condition. A job is cases whose scenes and cameras are found and checked.
@@ -21,15 +21,17 @@ from pixsim.base.problems import explain
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.sensor.labels import labels_of
-from pixsim.studies.axis import Axis, AxisPoint
-from pixsim.studies.case_folders import case_folder, check_case_folders
-from pixsim.studies.pixels import technology_of
-from pixsim.studies.study_settings import Study
+from pixsim.studies.axes import Axis, AxisPoint, case_folder, check_case_folders
+from pixsim.studies.settings import Study
+from pixsim.studies.sizes import technology_of
+from pixsim.studies.table import Label
 from pixsim.viewer.merging import merge
 from pixsim.viewer.setting import Setting
 
 if TYPE_CHECKING:
     from pixsim.scene.scene import Scene
+    from pixsim.viewer.display_options import Display
+    from pixsim.viewer.imaging import Imaging
 
 BASE = "base"  # the value of an axis where the study's own settings hold
 
@@ -39,38 +41,54 @@ Settings = TypeVar("Settings", bound=Setting, covariant=True)
 
 @dataclass(frozen=True)
 class Case(Generic[Settings]):
-    """A value of each axis, a condition, and a sensor of a comparison.
+    """A sensor under one combination of axis values and a condition, complete: nothing later reads or refuses a setting.
 
-    settings : without axes and conditions, which have these values
+    settings : without axes and conditions, which have these values; the cases of a group may share them
     at : axis -> value: the number, or its label; `BASE` where the study's own settings hold
     condition : its name; empty without conditions
     alone : the axis that is moved alone, or empty
-    name, file : of a comparison, the sensor's name, which is unique there, and its file or technology; else empty
-    found : the scene with its chart, or the picture of another program; and the camera of the window, or of the part of the field
-        that all sensors of a comparison see. None before they are looked for
+    sensor : its name in rows: of a technology, of a data sheet, or of a comparison's sensor
+    file : of a comparison, the sensor's file or technology; else empty
+    resolved : the scene with its chart, or the picture of another program; and the camera of the window, or of the part of the
+        field that all sensors of a comparison see. None before they are looked for
     without : light without the target, beside a picture, if a metric asks for it
+    labels : that tell it from other cases, beside the sensor; they are columns of its rows
+    group : cases of a group share white and border, and follow one another: the sensors of a combination
+    imaging : what lies between the light and the score, at the largest pixel size; None before it is found
+    others : further displays on which each frame is shown
+    stream : how the keys of its random streams begin; then follow the pixel size, if `stream_has_pitch`, and the repeat
+    sizes : pixel size in µm -> number of sensors with which it starts
+    caches_frames : whether its frames may go into the cache
     """
 
     settings: Settings = field(repr=False)
-    at: dict[str, float | int | str] = field(default_factory=dict)
+    at: dict[str, Label] = field(default_factory=dict)
     condition: str = ""
     alone: str = ""
-    name: str = ""
+    sensor: str = ""
     file: str = ""
-    found: tuple[Scene | SpectralImage, Camera] | None = field(default=None, repr=False)
+    resolved: tuple[Scene | SpectralImage, Camera] | None = field(default=None, repr=False)
     without: SpectralImage | None = field(default=None, repr=False)
+    labels: dict[str, Label] = field(default_factory=dict)
+    group: object = None
+    imaging: Imaging | None = field(default=None, repr=False)
+    others: tuple[Display, ...] = ()
+    stream: tuple[object, ...] = ()
+    stream_has_pitch: bool = True
+    sizes: dict[float, int] = field(default_factory=dict, repr=False)
+    caches_frames: bool = False
 
     @property
     def source(self) -> Scene | SpectralImage:
         """The scene or the picture."""
-        assert self.found is not None
-        return self.found[0]
+        assert self.resolved is not None
+        return self.resolved[0]
 
     @property
     def camera(self) -> Camera:
         """The camera."""
-        assert self.found is not None
-        return self.found[1]
+        assert self.resolved is not None
+        return self.resolved[1]
 
     @property
     def picture(self) -> SpectralImage | None:
@@ -98,18 +116,15 @@ class Case(Generic[Settings]):
         """Name of its folder in that of the study."""
         return case_folder(self.words) or BASE
 
-    @property
-    def columns(self) -> dict[str, str]:
-        """Columns of a table that tell this case from the others, with its values."""
-        values = {name: value if isinstance(value, str) else repr(value) for name, value in self.at.items()}
-        return values | ({"condition": self.condition} if self.condition else {})
+    def stream_at(self, pitch_um: float) -> tuple[object, ...]:
+        """Return the key of its random streams at a pixel size, without the repeat."""
+        return (*self.stream, pitch_um) if self.stream_has_pitch else self.stream
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Job(Generic[Settings]):
-    """Cases that were found and checked: of a run, of a study, or of a comparison under one condition.
+    """Cases that are resolved and checked.
 
-    cases : a run has one, a study those of its axes and conditions, a comparison one for each sensor
     view : display and chart that pixsim chose for the sensor of a data sheet, of `choose_view`
     sensor, variant : id of the scene's sensor, and variant of Mitsuba, as they were given
     """
@@ -128,6 +143,14 @@ class Job(Generic[Settings]):
     def camera(self) -> Camera:
         """The camera of the first case."""
         return self.cases[0].camera
+
+    @property
+    def combinations(self) -> tuple[Case[Settings], ...]:
+        """The first case of each group."""
+        firsts: dict[object, Case[Settings]] = {}
+        for case in self.cases:
+            firsts.setdefault(case.group, case)
+        return tuple(firsts.values())
 
 
 @contextmanager
@@ -156,16 +179,16 @@ def number_of_cases(study: Study) -> int:
 
 
 def cases_of(study: Study) -> tuple[Case[Study], ...]:
-    """Return the cases of a study, each under every condition: values of axes with each other, then axes that are moved alone.
+    """Return the combinations of a study, each under every condition: axes with each other, then those that are moved alone.
 
     Raises PixsimError for a setting that does not exist or is out of bounds, naming the value of the axis.
     """
     if not study.has_cases:
-        return (Case(study),)
+        return (Case(study, group=0),)
     if (number := number_of_cases(study)) > MAX_CASES:
         raise invalid("axis", f"{number} cases, all values of all axes", f"at most {MAX_CASES}", "Give fewer values.")
     base = study.stated
-    cases = []
+    cases: list[Case[Study]] = []
     for chosen, alone in combinations(study.axis):
         table = base
         for point in chosen.values():
@@ -173,10 +196,11 @@ def cases_of(study: Study) -> tuple[Case[Study], ...]:
         at = values_at(study.axis, chosen)
         where = [f"axis {name}, value {point.label}" for name, point in chosen.items()]
         if not study.condition:
-            cases.append(Case(_study(table, where), at, "", alone))
+            cases.append(Case(_study(table, where), at, "", alone, labels=dict(at), group=len(cases)))
         for condition in study.condition:
-            own = _study(_with_settings(table, condition.set), [*where, f"condition {condition.name}"])
-            cases.append(Case(own, at, condition.name, alone))
+            settings = _study(_with_settings(table, condition.set), [*where, f"condition {condition.name}"])
+            labels = at | {"condition": condition.name}
+            cases.append(Case(settings, at, condition.name, alone, labels=labels, group=len(cases)))
     try:
         check_case_folders([case.words or BASE for case in cases])
     except ValueError as error:

@@ -1,12 +1,18 @@
-"""Choice of further evaluations: the new pitches, or further sensors, that narrow the optimum's interval."""
+"""Which further points the table of a study asks for: new sizes and sensors, which narrow the optimum's interval most."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from pixsim.studies.evaluate import LitCase
 from pixsim.studies.optimum import FittedCurve, Posterior, noise_scale, rise_variance
+from pixsim.studies.result import Curve, TooFewSizesError, curve_of
+from pixsim.studies.settings import Study
+from pixsim.studies.sizes import Sampling, Sizes, study_pitches_um
+from pixsim.studies.table import DOTS, Table
 
 ROUND = 4  # additions chosen together from one fitted curve
 SENSORS_PER_ADDITION = 2  # so that a new pitch shows its own scatter; an existing pitch gets the same number more
@@ -115,3 +121,99 @@ def predicted_variance(fit: FittedCurve, sensors: dict[float, int]) -> float:
     ends = np.array([pitches_um[0] if low is None else low, fit.optimum.pitch_um, pitches_um[-1] if high is None else high])
     fit_of_design = Posterior(design, best.stiffness, best.residual, np.zeros(u.size), best.ripple)
     return rise_variance(fit_of_design, fit.places_of(ends))
+
+
+# --- the rounds of a study --------------------------------------------------------------------------------------------------------
+
+
+def next_round(study: Study, curves: Sequence[Curve], sampling: Sampling, refine: bool = True) -> Sampling:
+    """Return the sampling after a round of additions to each curve; unchanged at a limit.
+
+    A curve whose interval misses `target_ci_um` gets sizes and sensors where they narrow it most. Without a target, so does one
+    whose interval has an open end (`next_where_open`), and one whose interval is long for want of sizes near the best
+    (`next_near_best`), unless the sizes are a list of the user's.
+
+    refine : whether curves without a target may have additions
+
+    The choice depends on the curves alone, so it is the same on any workers and in a resumed study.
+    """
+    chosen = dict(sampling)
+    for curve in curves:
+        sensors = sampling[curve.technology]
+        told = {um: sensors[um] for um in curve.pitch_um[curve.told].tolist() if um in sensors}
+        sizes, most = len(study_pitches_um(study, curve.technology)), max(study.repeats, study.max_repeats)
+        if study.target_ci_um is None:
+            if not (refine and study.refine) or study.pitch.values_um is not None:
+                continue
+            more = next_where_open(curve.fit, told, sizes * study.repeats, most)
+            more = next_near_best(curve.fit, told, sizes) if more == told else more
+        elif curve.optimum.half_width_um <= study.target_ci_um:
+            continue
+        else:
+            more = next_sensors(curve.fit, told, most)
+        more = more if len(told) == len(sensors) else dict(sorted((sensors | more).items()))
+        if study.max_evaluations is None:
+            within = sum(more.values()) <= sizes * most
+        else:
+            evaluations = sum(sum(counts.values()) for counts in (chosen | {curve.technology: more}).values())
+            within = evaluations <= study.max_evaluations
+        if within:
+            chosen[curve.technology] = more
+    return chosen
+
+
+@dataclass
+class Rounds:
+    """The curves of a study's cases, and which further points they ask for, from the tables of its points alone.
+
+    cases : in their light
+    is_refined : whether curves without a target may have additions
+    """
+
+    cases: Sequence[LitCase]
+    is_refined: bool
+    _curves: dict[tuple[int, bytes], Curve | str] = field(default_factory=dict, init=False, repr=False)
+
+    def curve(self, number: int, table: Table) -> Curve | str:
+        """Return the curve of a case, or why it has none; it is fitted once for the same points."""
+        key = number, b"".join(table.columns[name].tobytes() for name in ("pitch_um", "repeat"))
+        if key not in self._curves:
+            case = self.cases[number].case
+            try:
+                self._curves[key] = curve_of(case.settings, case.sensor, on_first_display(table), label=self.cases[number].label)
+            except TooFewSizesError as error:
+                self._curves[key] = str(error)
+        return self._curves[key]
+
+    def more(self, tables: Mapping[int, Table]) -> dict[int, Sizes]:
+        """Return the sizes and sensors of the cases of a group, with further ones; the same where none are needed.
+
+        tables : of each case
+        """
+        sizes = {number: sizes_of(table) for number, table in tables.items()}
+        curves = {number: self.curve(number, table) for number, table in tables.items()}
+        fitted = {number: curve for number, curve in curves.items() if isinstance(curve, Curve)}
+        if len(fitted) < len(curves):
+            return sizes
+        possible = {number: sizes_of(table.possible) for number, table in tables.items()}
+        names = {number: self.cases[number].case.sensor for number in tables}
+        study = self.cases[min(tables)].case.settings
+        sampling = {names[number]: possible[number] for number in tables}
+        chosen = next_round(study, list(fitted.values()), sampling, self.is_refined)
+        for number, name in names.items():
+            if chosen[name] != possible[number]:
+                sizes[number] = dict(sorted((sizes[number] | chosen[name]).items()))
+        return sizes
+
+
+def on_first_display(table: Table) -> Table:
+    """Return the evaluations of a case on its stated display, which has all repeats."""
+    return table.take(table.columns[DOTS] == table.columns[DOTS][0]) if DOTS in table.columns else table
+
+
+def sizes_of(table: Table) -> Sizes:
+    """Return the pixel sizes of a case and the number of sensors of each, from its points."""
+    sizes: Sizes = {}
+    for pitch_um, repeat in zip(table.columns["pitch_um"].tolist(), table.columns["repeat"].tolist(), strict=True):
+        sizes[pitch_um] = max(sizes.get(pitch_um, 0), repeat + 1)
+    return sizes

@@ -1,0 +1,678 @@
+"""Sensors that are compared: from their files to cases that see the same field, on one display, in the same light."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from pixsim.base.arguments import checks_arguments
+from pixsim.base.caller import setting
+from pixsim.base.errors import did_you_mean, invalid
+from pixsim.base.files import missing
+from pixsim.base.layers import Layer
+from pixsim.base.notes import warn, without_warnings
+from pixsim.base.records import checked
+from pixsim.base.toml import packaged
+from pixsim.optics.camera import OF_DIE, Camera, CameraOptions
+from pixsim.optics.camera_lens import lens_on_die
+from pixsim.scene.charts import MAX_LP_PER_MM
+from pixsim.scene.study_scene import StudyScene
+from pixsim.sensor.integration import check_pixel_count, pixels_on
+from pixsim.sensor.labels import file_label, labels_of
+from pixsim.sensor.motion import border_with_room_um
+from pixsim.sensor.pixel import derive
+from pixsim.sensor.pixel_options import BORDER_PIXELS, NO_TECHNOLOGY
+from pixsim.sensor.spread import sheet_uncertainty
+from pixsim.sensor.technology import check_name, load_technology
+from pixsim.studies.axes import NOT_SETTINGS, paths_of
+from pixsim.studies.design import Case, Job, cases_of, combinations, named, values_at, with_range_ends
+from pixsim.studies.drawn_types import Types, asked_of
+from pixsim.studies.files import checked_study, study_of
+from pixsim.studies.lights import LightRequest, light_request
+from pixsim.studies.paired import FEWEST_PAIRS
+from pixsim.studies.prepare import check_metrics, choose_view, is_picture, loaded_scene, with_view
+from pixsim.studies.settings import Study, owner_of
+from pixsim.studies.sizes import further_displays, metrics_of
+from pixsim.viewer.display import dot_edges_um
+from pixsim.viewer.display_options import Display
+from pixsim.viewer.imaging import Imaging
+from pixsim.viewer.merging import merge
+from pixsim.viewer.metrics import DELTA_E
+from pixsim.viewer.setting import Effort, Run, Setting
+from pixsim.viewer.settings_file import packaged_sensors, settings_layer, warn_of_mixed_sensors
+from pixsim.viewer.without_effect import GivenSettings, changed_settings, warn_of_settings_without_effect
+
+if TYPE_CHECKING:
+    from pixsim.scene.scene import Scene
+
+SENSORS = (2, 8)  # of a comparison; the page shows each in full
+REPEATS = (FEWEST_PAIRS, 10_000)
+OF_A_SENSOR = ("camera", "lens", "pixel", "exposure")  # tables that each file has of its own; the others are those of the first
+# What a study says to a comparison: the scene and the settings of all sensors, and a lens for files that state none. Its pixels,
+# technologies and pixel sizes are not used.
+OF_STUDY = sorted(Setting.model_fields, key=Effort.model_fields.__contains__)
+SHARED = [name for name in OF_STUDY if name not in ("scene", "camera", "lens", "pixel")]
+WORDS = {name for name, hint in NOT_SETTINGS.items() if not hint} - {"sensors"}  # of a study, that say nothing of a sensor
+SIZE = ("pitch_um", "data_sheet_pitch_um")  # of the pixel: each sensor has its own, as of its die
+DIGITS = 12  # of a chart's frequency on another sensor, so that settings.toml gives the same one again
+
+
+def pixels_of(sensor: Case[Run]) -> tuple[int, int]:
+    """Return the rows and columns of a sensor's pixels that see the common field."""
+    return pixels_on(sensor.camera.die_um, sensor.settings.pixel.pitch_um)
+
+
+@dataclass(frozen=True, eq=False)
+class SensorGroup:
+    """Sensors that see one field through matched cameras on one display: at values of axes, under a condition, by a match.
+
+    cases : of the sensors, each with its own camera, pixel and exposure; the frequencies of its chart on the sensor go with the die
+    weight : share of the condition; 1 without conditions
+    match : of the cameras
+    scene : file, or name of a packaged scene
+    finest : name of the sensor with the most pixels, whose view all have
+    border : width of the border that is not scored, as a fraction of the width of the field
+    view : display and chart that pixsim chose
+    film_width : samples across the first film, the most that any of the sensors needs: with one film, all see the same picture
+    """
+
+    cases: tuple[Case[Run], ...]
+    weight: float
+    match: Match
+    scene: str
+    finest: str
+    border: float
+    view: Mapping[str, Any]
+    film_width: int = 0
+
+    @property
+    def first(self) -> Case[Run]:
+        """The first sensor, the reference."""
+        return self.cases[0]
+
+    @property
+    def display(self) -> Display:
+        """The display that all have."""
+        return self.first.settings.display
+
+    @property
+    def words(self) -> str:
+        """Values of axes and condition, for messages."""
+        return self.first.words
+
+    def border_um(self, camera: Camera) -> float:
+        """Return the width of the border on a camera's die."""
+        return self.border * camera.die_um[1]
+
+    @property
+    def scored_dots(self) -> tuple[int, int]:
+        """Rows and columns of the display's dots that are shown and scored."""
+        camera, pitch_um = self.first.camera, self.first.settings.pixel.pitch_um
+        rows, columns = dot_edges_um(camera.die_um, pitch_um, self.display, self.border_um(camera))
+        return rows.size - 1, columns.size - 1
+
+    def request(self, sensor: Case[Run], width: int) -> LightRequest:
+        """Return what a sensor asks of its light on a film of so many samples across."""
+        return light_request(replace(sensor, resolved=(sensor.scene.with_resolution(width), sensor.camera)))
+
+    def sees_the_same(self, other: SensorGroup) -> bool:
+        """Return whether these sensors see in another group what they see here: field, chart, film and displays."""
+        if (self.border, self.film_width) != (other.border, other.film_width):
+            return False
+        among = {case.sensor: case for case in other.cases}
+        return all(_seen_by(case) == _seen_by(among[case.sensor]) for case in self.cases)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the field and the scored dots for JSON."""
+        return {
+            "fov_deg": self.first.camera.fov_deg,
+            "scored_dots": list(self.scored_dots),
+            "chosen": {**self.view, "finest": self.finest},
+        }
+
+
+def _seen_by(case: Case[Run]) -> tuple[object, ...]:
+    return case.settings, case.camera, case.scene.parameters, case.others
+
+
+def sensor_layer(file: str) -> Layer:
+    """Return the table of a sensor: a TOML file with [pixel], such as a data sheet, or a packaged one; or a technology."""
+    known = packaged("data/technologies")
+    if file not in known:
+        path, names = Path(file), [*known, *packaged_sensors()]
+        if path.suffix != ".toml" and file not in names:
+            got = f"'{file}'" if path.parent == Path() or os.path.lexists(path) else missing(path)
+            raise invalid("sensor", got, f"a TOML file, or one of {', '.join(names)}", did_you_mean(file, names))
+        layer = settings_layer(file)
+        if "pixel" in layer.table:
+            return layer
+        if tables := [name for name in layer.table if name in Run.model_fields]:
+            got = f"'{file}' with {', '.join(tables)}, but no table [pixel]"
+            hint = "`pixsim template sensor -o my_sensor.toml` writes one with every field."
+            raise invalid("sensor", got, "the file of a data sheet, or of a technology", hint)
+    return Layer({"pixel": {"technology": file}}, file)
+
+
+def read_sensors(
+    files: Sequence[str], lens: Layer, config: Sequence[Layer], options: dict[str, Any], overrides: Layer | None = None
+) -> list[Case[Run]]:
+    """Return the sensor of each file, with the settings of all sensors over its own.
+
+    lens : [camera] for files that state none of it
+    config, options, overrides : for all sensors; each takes precedence over the one before it, and over a sensor's own file
+
+    Raises PixsimError that lists every problem of a file.
+    """
+    sensors: list[Case[Run]] = []
+    for file, label in zip(files, labels_of([file_label(file) for file in files]), strict=True):
+        own = sensor_layer(file)
+        warn_of_mixed_sensors([own, *config])
+        run: Run = checked(Run, [lens, own, *config, Layer(options), *([overrides] if overrides else [])])
+        first = sensors[0].settings if sensors else run
+        if unused := [n for n in own.table if n not in OF_A_SENSOR and getattr(run, n, None) != getattr(first, n, None)]:
+            warn(
+                f"{file}: only {', '.join(f'[{name}]' for name in OF_A_SENSOR)} are used, not {', '.join(unused)}: the first file's"
+            )
+        sensors.append(Case(run, sensor=label, file=file))
+    return sensors
+
+
+def check_files(files: Sequence[str]) -> None:
+    """Raise PixsimError for too few or too many sensors, and for one that is given twice."""
+    low, high = SENSORS
+    if not low <= len(files) <= high:
+        hint = "" if files else "For example: pixsim compare a.toml b.toml"
+        raise invalid("sensors", f"{len(files)} ({', '.join(files)})" if files else "none", f"{low} to {high} files", hint)
+    for file in files:
+        check_name(file, "sensor")
+    real = [os.path.realpath(file) if Path(file).is_file() else file for file in files]
+    for number, file in enumerate(real):
+        if file in real[:number]:
+            got = f"'{files[number]}' twice"
+            raise invalid("sensors", got, "different files", "A copy of the file may have other numbers, or the same.")
+
+
+def as_run(table: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
+    """Return some tables of a study or of a condition, and the parameters of its scene, as those of `Run`."""
+    scene = {"scene": table["scene"]["parameters"]} if "parameters" in table.get("scene", {}) else {}
+    return {name: table[name] for name in names if name in table and name != "scene"} | scene
+
+
+def not_used_of(table: Mapping[str, Any], other_scene: bool) -> tuple[str, ...]:
+    """Return the settings of a study's table that a comparison does not use, by their dotted names.
+
+    other_scene : whether the comparison has another scene
+    """
+    found = [name for name in table if name not in (*SHARED, *WORDS, "scene", "camera", "lens")]
+    found += [f"camera.{name}" for name in OF_DIE if name in table.get("camera", {})]
+    return *found, *(["scene"] if other_scene and "scene" in table else [])
+
+
+def warn_of_overridden(study: Study, options: Mapping[str, Any]) -> None:
+    """Warn of options, as tables of `Run`, that every condition of a study overrides."""
+    for path in paths_of(options):
+        in_study = ("scene", "parameters", *path[1:]) if path[0] == "scene" else path
+        if owner := owner_of(study, in_study):
+            warn(f"{'.'.join(path)} is not used: {owner} sets it")
+
+
+def overrides_layer(table: Mapping[str, Any], where: str) -> Layer:
+    """Return settings of a condition and of axes as tables of `Run`. Raises PixsimError for one that a comparison does not have.
+
+    where : names the condition and the values
+    """
+    allowed = [name for name in OF_STUDY if name != "seed"]
+    if others := [name for name in table if name not in allowed]:
+        hint = "The sensors of a comparison have their numbers from their own files."
+        raise invalid(where, f"set.{others[0]}", ", ".join(f"set.{name}" for name in allowed), hint)
+    camera, pixel, scene = (table.get(name) for name in ("camera", "pixel", "scene"))
+    if isinstance(camera, Mapping) and (die := [name for name in OF_DIE if name in camera]):
+        raise invalid(where, f"set.camera.{die[0]}", "settings of the lens: each sensor has its own die")
+    if isinstance(pixel, Mapping) and (own := [name for name in SIZE if name in pixel]):
+        raise invalid(where, f"set.pixel.{own[0]}", "settings that leave each sensor its own pixel size")
+    files = "set.scene.file, set.scene.parameters.<name>"
+    if scene is not None and not isinstance(scene, Mapping):
+        raise invalid(where, f"set.scene = {scene!r}", files)
+    if unknown := [name for name in scene or {} if name not in StudyScene.model_fields]:
+        raise invalid(where, f"set.scene.{unknown[0]}", files)
+    return Layer(as_run(table, allowed), where)
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What is stated for the sensors at values of axes, under one condition.
+
+    sensors : as of `read_sensors`, with the labels of the case
+    words : values of axes and condition, for messages
+    """
+
+    weight: float
+    scene: str
+    sensors: list[Case[Run]]
+    words: str = ""
+
+
+def stated_cases(
+    files: Sequence[str], lens: Layer, config: Sequence[Layer], options: dict[str, Any], scene: str, plan: Study | None, source: str
+) -> list[list[Stated]]:
+    """Return the sensors at each combination of the axes of a study, and under each of its conditions.
+
+    lens, config, options : of `read_sensors`
+    plan : the study, if there is one
+    source : file of the study
+    """
+    if plan is None or not plan.has_cases:
+        return [[Stated(1.0, scene, read_sensors(files, lens, config, options))]]
+    if plan.axis:
+        cases_of(plan)  # that its values are allowed
+    total = sum(condition.weight for condition in plan.condition)
+    combined: list[list[Stated]] = []
+    for chosen, alone in combinations(plan.axis):
+        at = values_at(plan.axis, chosen)
+        table: dict[str, Any] = {}
+        for point in chosen.values():
+            table = merge(table, point.table)
+        under: list[Stated] = []
+        for condition in plan.condition or (None,):
+            name, settings = ("", table) if condition is None else (condition.name, merge(table, condition.set))
+            values = [f"axis {axis}, value {point.label}" for axis, point in chosen.items()]
+            words = ", ".join([*values, *([f"condition {name}"] if name else [])])
+            overrides = overrides_layer(settings, ": ".join(filter(None, (source, words)))) if settings else None
+            labels = at | ({"condition": name} if name else {})
+            sensors = [
+                replace(sensor, at=at, alone=alone, condition=name, labels=labels)
+                for sensor in read_sensors(files, lens, config, options, overrides)
+            ]
+            weight = 1.0 if condition is None else condition.weight / total
+            under.append(Stated(weight, str(settings.get("scene", {}).get("file", scene)), sensors, words))
+        combined.append(under)
+    return combined
+
+
+def warn_of_uncertainty(sources: Sequence[str]) -> None:
+    """Warn of the [pixel.uncertainty] of sensor files, where no sensor types are drawn."""
+    for path in map(Path, sources):
+        if path.is_file() and (unsure := sheet_uncertainty(path)):
+            warn(f"{path.name}: [pixel.uncertainty] of {', '.join(unsure)} is not used without {setting('uncertainty')}")
+
+
+def _warn_of_settings_without_effect(
+    given: Sequence[Sequence[Case[Run]]], complete: Sequence[Sequence[Case[Run]]], match: Match
+) -> None:
+    """Warn of the settings that have no effect in any condition of a comparison, with the sensors that set them.
+
+    given : the sensors under each condition, as the user set them
+    complete : the same, with their cameras
+
+    Motion, display, correction and development are those of the first sensor; so is the lens, unless each has its own.
+    """
+    sensors: dict[str, list[GivenSettings]] = {}
+    for sensors_of_condition, found in zip(given, complete, strict=True):
+        first = sensors_of_condition[0].settings
+        for sensor, case in zip(sensors_of_condition, found, strict=True):
+            shared = {table: getattr(first, table) for table in ("motion", "correction", "develop", "display")}
+            run = sensor.settings.model_copy(update=shared)
+            imaging = Imaging.of(run, case.camera).changed(metrics=metrics_of(first))
+            other_lens = () if match == "own" else _changed_lens(run, first)
+            facts = {"judges_run": False, "has_noise_budget": False, "other_lens": other_lens}
+            sensors.setdefault(sensor.sensor, []).append(GivenSettings.of_setting(imaging, run, **facts))
+    warn_of_settings_without_effect(sensors)
+
+
+def _changed_lens(run: Run, first: Run) -> tuple[str, ...]:
+    """Return the names of settings of a sensor's camera and lens, but of its die, that differ from those of the first sensor."""
+    return tuple(
+        f"{table}.{name}"
+        for table in ("camera", "lens")
+        for name in changed_settings(getattr(run, table))
+        if name not in OF_DIE and getattr(getattr(run, table), name) != getattr(getattr(first, table), name)
+    )
+
+
+def group_of(
+    stated: Stated, numbers: Sequence[int], common: SensorGroup | None, match: Match, sensor: str | None, variant: str | None
+) -> SensorGroup:
+    """Return some of the sensors that are stated, as if there were no others.
+
+    numbers : of the sensors
+    common : another condition, whose dots and chart this one takes where it leaves them open, so that both can be averaged
+    match : of their cameras
+    sensor, variant : of the scene
+    """
+    scene, chosen = stated.scene, [stated.sensors[number] for number in numbers]
+    settings = chosen[0].settings
+    if settings.display.raster != "fixed_size":
+        got = f"'{settings.display.raster}', which gives each sensor a display of its own"
+        raise invalid("display.raster", got, "'fixed_size': one display for all sensors")
+    if is_picture(scene):
+        raise invalid("--scene", f"'{scene}', a picture", "a Mitsuba scene, which each sensor sees through its own lens")
+    loaded = loaded_scene(scene, settings.scene, settings.resolution, settings.display, variant=variant, sensor=sensor)
+    for case in chosen:
+        with named(case.sensor):
+            check_metrics(settings, [case.settings.pixel], loaded)
+    whole = _whole_cameras(loaded, chosen)
+    if settings.window_mm is not None:
+        whole[0].window(settings.window_mm)
+    cameras = matched_cameras(whole, match, settings.window_mm)
+    resolved = [replace(case, resolved=(loaded, camera)) for case, camera in zip(chosen, cameras, strict=True)]
+    for case in resolved:
+        with named(case.sensor):
+            derive(case.settings.pixel, load_technology(case.settings.pixel.technology))
+            check_pixel_count(pixels_of(case), case.settings.pixel.pitch_um)
+
+    finest = max(resolved, key=lambda case: math.prod(pixels_of(case)))
+    view: dict[str, Any] = {}
+    if any(case.settings.pixel.technology == NO_TECHNOLOGY for case in resolved):
+        view = choose_view(finest.settings.pixel.pitch_um, finest.camera, settings.display, loaded)
+    if common is not None:
+        view = {name: common.view.get(name, value) for name, value in view.items()}
+    of_first = {name: on_other_die(view[name], finest.camera, cameras[0]) for name in view if name == MAX_LP_PER_MM}
+    settings = with_view(settings, view | of_first)
+    border = 0.0
+    for case in resolved:
+        pixel, exposure = case.settings.pixel, case.settings.exposure
+        border_um = BORDER_PIXELS * pixel.pitch_um * pixel.bin_side
+        border_um = border_with_room_um(border_um, settings.motion, exposure, case.camera, [(pixel.pitch_um, pixel.bin_side)])
+        border = max(border, border_um / case.camera.die_um[1])
+
+    highest = settings.scene.get(MAX_LP_PER_MM, loaded.parameters.get(MAX_LP_PER_MM))
+    complete = []
+    for case in resolved:
+        of_sensor, camera, run = loaded, case.camera, case.settings
+        if highest is not None:
+            on_sensor = on_other_die(float(highest), cameras[0], camera)
+            of_sensor = loaded.with_parameters(**{MAX_LP_PER_MM: repr(on_sensor)})
+        with named(case.sensor):
+            dot_edges_um(camera.die_um, run.pixel.pitch_um, settings.display, border * camera.die_um[1])
+        own = {"camera": camera.options, "lens": camera.lens_options, "pixel": run.pixel, "exposure": run.exposure}
+        complete.append(replace(case, settings=settings.model_copy(update=own), resolved=(of_sensor, camera)))
+    first_camera, pitch_um = complete[0].camera, complete[0].settings.pixel.pitch_um
+    border_um = border * first_camera.die_um[1]
+    others = further_displays(chosen[0].settings.display, settings.display, first_camera.die_um, pitch_um, border_um)
+    group = SensorGroup(
+        cases=tuple(replace(case, others=others) for case in complete),
+        weight=stated.weight,
+        match=match,
+        scene=scene,
+        finest=finest.sensor,
+        border=border,
+        view=view,
+    )
+    return replace(group, film_width=max(light_request(case).shape[1] for case in group.cases))
+
+
+def _whole_cameras(scene: Scene, sensors: Sequence[Case[Run]]) -> list[Camera]:
+    """Return each file's own camera. A file without a die, such as a technology's, has that of the first file which states one."""
+    own = [each.settings.camera for each in sensors]
+    die = next((each.model_dump(include={"die_mm", "die_height_mm"}) for each in own if each.die_mm is not None), None)
+    cameras = []
+    for sensor, each in zip(sensors, own, strict=True):
+        stated = each if die is None or each.die_mm is not None else CameraOptions(**die | each.model_dump(exclude_none=True))
+        with named(sensor.sensor):
+            cameras.append(scene.camera(stated, sensor.settings.lens))
+    return cameras
+
+
+def on_other_die(lp_per_mm: float, camera: Camera, other: Camera) -> float:
+    """Return the frequency on another sensor of detail that has `lp_per_mm` on the first, in the same field of view."""
+    return lp_per_mm if camera.die_mm == other.die_mm else float(f"{lp_per_mm * camera.die_mm / other.die_mm:.{DIGITS}g}")
+
+
+# --- the job --------------------------------------------------------------------------------------------------------------------
+
+
+PAIR, MATCH = "pair", "match"  # labels, beside those of axes and conditions
+OTHER_MATCH: dict[Match, Match] = {"view": "lens", "lens": "view", "own": "view"}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ComparisonJob(Job[Run]):
+    """A comparison that is prepared.
+
+    cases : the sensors of all groups
+    groups : all sensors, then the first sensor and each other one alone: at values of axes, under conditions, by matches
+    match : of the cameras that was asked for
+    repeats : frames of each sensor
+    base : settings of each sensor, as the files and options have them without a condition
+    study : whose settings, axes and conditions are those of all sensors, if any; its scene is that of the comparison
+    not_used : settings of the study that are not used, by their dotted names
+    types : sensor types over which the comparison is repeated, if they are asked for
+    """
+
+    groups: tuple[SensorGroup, ...]
+    match: Match
+    repeats: int
+    base: tuple[Run, ...]
+    study: Study | None = None
+    not_used: tuple[str, ...] = ()
+    types: Types | None = field(default=None, repr=False)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the sensors, in the order of their files."""
+        return tuple(case.sensor for case in self.groups[0].cases)
+
+    @property
+    def combinations(self) -> tuple[Case[Run], ...]:
+        """The first sensor at each combination of the values of axes."""
+        firsts: dict[str, Case[Run]] = {}
+        for group in self.groups:
+            firsts.setdefault(repr((group.first.at, group.first.alone)), group.first)
+        return tuple(firsts.values())
+
+    def of_sensors(self, combination: int = 0, other: str = "", match: Match | None = None) -> list[SensorGroup]:
+        """Return the groups of all sensors under each condition; or of the first and another one.
+
+        combination : number of the values of axes
+        other : name of the other one; empty for all sensors
+        match : None means the one that was asked for
+        """
+        at = self.combinations[combination]
+        place = at.at, at.alone, match or self.match
+        names = self.names if not other else (self.names[0], other)
+        return [
+            group
+            for group in self.groups
+            if (group.first.at, group.first.alone, group.match) == place and tuple(case.sensor for case in group.cases) == names
+        ]
+
+    @property
+    def matches(self) -> tuple[Match, ...]:
+        """The matches of the cameras, the one that was asked for first."""
+        return tuple(dict.fromkeys(group.match for group in self.groups))
+
+    @property
+    def shown(self) -> SensorGroup:
+        """All sensors under the first condition of weight above 0, whose pictures are shown."""
+        return next(group for group in self.of_sensors() if group.weight)
+
+
+def prepare(
+    files: Sequence[str | os.PathLike[str]],
+    scene: str | os.PathLike[str] | None = None,
+    *,
+    study: Study | str | os.PathLike[str] | None = None,
+    match: Match | None = None,
+    repeats: int,
+    config: Sequence[Path] = (),
+    options: dict[str, Any] | None = None,
+    sensor: str | None = None,
+    variant: str | None = None,
+    uncertainty: int | None = None,
+    sobol: int | None = None,
+) -> ComparisonJob:
+    """Choose what a comparison leaves open, and check everything that can be checked before a render.
+
+    match : None means `view`, and another one as a further condition
+    config, options : settings for all sensors, as tables; they take precedence over those of the study, but not of its conditions.
+        Options may have axes and conditions, in place of those of the study
+    uncertainty, sobol : sensor types to draw, or points of total indices
+
+    Raises PixsimError for invalid input.
+    """
+    sources = [str(file) for file in files]
+    check_files(sources)
+    if not REPEATS[0] <= repeats <= REPEATS[1]:
+        raise invalid("repeats", repeats, f"{REPEATS[0]} to {REPEATS[1]} pairs of frames")
+    layers, options = [settings_layer(path) for path in config], dict(options or {})
+    plan, lens, file, source = None, Layer({}), "csf" if scene is None else str(scene), ""
+    not_used: tuple[str, ...] = ()
+    varied: dict[str, Any] = {name: options.pop(name) for name in ("axis", "condition") if name in options}
+    if study is not None or varied:
+        stated, plan = study_of(study or Study.model_validate({"name": "comparison", "scene": {"file": file}}))
+        if varied:
+            plan = checked_study([stated, Layer(varied)])
+        plan, source = with_range_ends(plan), stated.source
+        not_used = not_used_of(stated.table, scene is not None)
+        if scene is not None:
+            stated = Layer({name: value for name, value in stated.table.items() if name != "scene"}, stated.source)
+            plan = plan.model_copy(update={"scene": StudyScene(file=file)})
+        warn_of_overridden(plan, options)
+        file, layers = plan.scene.file, [Layer(as_run(stated.table, SHARED), stated.source), *layers]
+        camera = {name: value for name, value in stated.table.get("camera", {}).items() if name not in OF_DIE}
+        of_lens = {"camera": camera, "lens": stated.table.get("lens", {})}
+        lens = Layer({name: table for name, table in of_lens.items() if table}, stated.source)
+    base = read_sensors(sources, lens, layers, options)
+    combined = stated_cases(sources, lens, layers, options, file, plan, source)
+
+    def groups_of(numbers: Sequence[int], by: Match) -> list[SensorGroup]:
+        """Return some of the sensors in each case, as if there were no others."""
+        groups: list[SensorGroup] = []
+        for under in combined:
+            shown = next(place for place, stated in enumerate(under) if stated.weight)
+            made: dict[int, SensorGroup] = {}
+            for place in dict.fromkeys((shown, *range(len(under)))):
+                with named(under[place].words):
+                    made[place] = group_of(under[place], numbers, made.get(shown), by, sensor, variant)
+            groups += [made[place] for place in range(len(under))]
+        return groups
+
+    chosen = match or "view"
+    everyone = range(len(sources))
+    groups = groups_of(everyone, chosen)
+    given = [stated.sensors for under in combined for stated in under]
+    _warn_of_settings_without_effect(given, [group.cases for group in groups], chosen)
+    with without_warnings():  # those of all sensors are shown
+        further = [] if match else groups_of(everyone, OTHER_MATCH[chosen])
+        if all(own.sees_the_same(other) for own, other in zip(groups, further, strict=False)):
+            further = []
+        alone = [(0, other) for other in everyone[1:]] if len(sources) > 2 else []
+        pairs = [group for numbers in alone for group in groups_of(numbers, chosen)]
+        pairs += [group for numbers in alone if further for group in groups_of(numbers, OTHER_MATCH[chosen])]
+    asked = asked_of(uncertainty, sobol, (), {})
+    if asked is None:
+        warn_of_uncertainty(sources)
+    every_group = tuple(_labelled([*groups, *further, *pairs], repeats))
+    return ComparisonJob(
+        cases=tuple(case for group in every_group for case in group.cases),
+        view=groups[0].view,
+        sensor=sensor,
+        variant=variant,
+        groups=every_group,
+        match=chosen,
+        repeats=repeats,
+        base=tuple(case.settings for case in base),
+        study=plan,
+        not_used=not_used,
+        types=None if asked is None else Types.of(asked, base),
+    )
+
+
+def _labelled(groups: Sequence[SensorGroup], repeats: int) -> Iterator[SensorGroup]:
+    """Yield groups whose cases are complete: their imaging, random streams, sizes, and the labels that tell any of them apart."""
+    most = len(groups[0].cases)
+    tables = []
+    for group in groups:
+        pair = " and ".join(case.sensor for case in group.cases) if len(group.cases) < most else ""
+        tables.append({PAIR: pair, **group.first.labels, MATCH: group.match})
+    told_by = [name for name in tables[0] if len({repr(table[name]) for table in tables}) > 1]
+    for number, (group, table) in enumerate(zip(groups, tables, strict=True)):
+        labels = {name: table[name] for name in told_by}
+        cases = [replace(case, labels=labels, group=number) for case in group.cases]
+        yield replace(group, cases=tuple(_complete(case, group, repeats) for case in cases))
+
+
+def _complete(case: Case[Run], group: SensorGroup, repeats: int) -> Case[Run]:
+    """Return a sensor that shows and scores the same part of the scene as the others.
+
+    Its random streams do not name the sensor, so that equal sensors give equal frames.
+    """
+    with named(case.sensor):
+        asked = group.first.settings.model_copy(
+            update={"metrics": tuple(dict.fromkeys((DELTA_E.name, *group.first.settings.metrics)))}
+        )
+        imaging = Imaging.of(case.settings, case.camera).changed(
+            border_um=group.border_um(case.camera), single=True, metrics=metrics_of(asked, repeats)
+        )
+    return replace(
+        case,
+        imaging=imaging,
+        stream=("compare", case.settings.seed),
+        stream_has_pitch=False,
+        sizes={case.settings.pixel.pitch_um: repeats},
+    )
+
+
+Match = Literal["view", "lens", "own"]
+ALIKE = 1e-9  # relative difference of two fields of view that is rounding
+
+
+@checks_arguments
+def matched_cameras(cameras: Sequence[Camera], match: Match, window_mm: float | None = None) -> tuple[Camera, ...]:
+    """Return cameras that see one field: the central part that all have in common, after `match`.
+
+    cameras : of each sensor, with its whole die; the first is the reference
+    match : 'view': the lens of the reference, its focal length scaled such that the image distance v = f(1 + |m|) goes with the
+        width of the die: equal field of view, f-number and object distance; 'lens': the lens of the reference; 'own': each its own
+    window_mm : width of a central part of the reference's die that limits the field; None takes all of it
+
+    Raises PixsimError if a camera forms no image.
+
+    >>> wide, tall = Camera(die_mm=8.0, die_height_mm=6.0, focal_length_mm=8.0), Camera(die_mm=4.0)
+    >>> first, second = matched_cameras([wide, tall], "view")
+    >>> [round(camera.fov_deg, 9) for camera in (first, second)], second.die_height_mm
+    ([52.765926..., 52.765926...], 3.0)
+    """
+    reference = cameras[0]
+    if match == "view":
+        seen = [reference, *(_with_view_of(reference, camera) for camera in cameras[1:])]
+    elif match == "lens":
+        seen = [lens_on_die(reference, camera) for camera in cameras]  # cropped below to a field that all of them have
+    else:
+        seen = list(cameras)
+    seen[0] = seen[0].window(window_mm)
+    width = min(camera.die_mm / camera.image_distance_mm for camera in seen)
+    height = min(camera.height_mm / camera.image_distance_mm for camera in seen)
+    return tuple(_cropped(camera, width, height) for camera in seen)
+
+
+def _with_view_of(reference: Camera, camera: Camera) -> Camera:
+    """Return a camera with the die of `camera` and the field of view of `reference`: 1/f = 1/u + 1/v, with v as the width."""
+    if reference.lens is not None:
+        return lens_on_die(reference, camera, same_view=True)
+    v_mm, u_mm = reference.image_distance_mm * camera.die_mm / reference.die_mm, 1e3 * reference.object_distance_m
+    lens = {"focal_length_mm": u_mm * v_mm / (u_mm + v_mm)}
+    if camera.die_mm == reference.die_mm:  # without rounding
+        lens = {}
+    die = {"die_mm": camera.die_mm, "die_height_mm": camera.die_height_mm}
+    seen = Camera(**reference.model_dump(exclude={"chief_ray_angle", "fall_off"}) | lens | die)
+    grown = camera.die_mm / reference.die_mm  # the same lens, made larger or smaller
+    tables = {
+        name: tuple((grown * height_mm, *rest) for height_mm, *rest in rows)
+        for name in ("chief_ray_angle", "fall_off")
+        if (rows := getattr(reference, name)) is not None
+    }
+    return seen.model_copy(update=tables)  # they need reach only the field that is cropped from this one
+
+
+def _cropped(camera: Camera, width: float, height: float) -> Camera:
+    """Return the lens on a central part of the die, whose sides are given as multiples of the image distance."""
+    v_mm = camera.image_distance_mm
+    if camera.die_mm <= width * v_mm * (1 + ALIKE) and camera.height_mm <= height * v_mm * (1 + ALIKE):
+        return camera
+    die = {"die_mm": min(camera.die_mm, width * v_mm), "die_height_mm": min(camera.height_mm, height * v_mm)}
+    return Camera(**camera.model_dump() | die)

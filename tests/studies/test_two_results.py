@@ -1,0 +1,87 @@
+"""Two results that exist: their frames are paired, or it is said what differs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.commands import assert_refused, command
+from helpers.tiny import TINY, rows, tiny
+
+import pixsim
+from pixsim.base.errors import PixsimError
+from pixsim.base.files import PROVENANCE
+
+SMALL: dict[str, Any] = {"resolution": 48, "display": {"dots": 48}, "repeats": 3}
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Runs of a quiet sensor, of a noisy one, and of other random numbers; and two studies."""
+    above = tmp_path_factory.mktemp("results")
+    dim = {"luminance_cd_per_m2": 1.0}
+    for name, more in {
+        "quiet": {"pixel": {"pitch_um": 20.0}},
+        "noisy": {"pixel": {"pitch_um": 20.0, "read_noise_e": 9000.0}},
+        "other": {"pixel": {"pitch_um": 20.0}, "seed": 9},
+    }.items():
+        pixsim.write_report(pixsim.run("csf", parameters=dim, camera={"die_mm": 1.28}, **SMALL, **more), above / name)
+    for name, more in {"study": {}, "noisier": {"pixel": {"read_noise_e": 400.0}}}.items():
+        result = pixsim.study(tiny(**more), above / name, jobs=1)
+        pixsim.write_report(result, above / name)
+    return {path.name: path for path in above.iterdir()}
+
+
+def test_a_run_writes_the_row_of_each_sensor(folders: dict[str, Path]) -> None:
+    score = json.loads((folders["quiet"] / "score.json").read_text(encoding="utf-8"))
+    assert [float(row["mean_delta_e"]) for row in rows(folders["quiet"])] == score["delta_e"]
+
+
+def test_runs_of_one_light_are_paired_frame_by_frame(folders: dict[str, Path]) -> None:
+    result = pixsim.compare_results(folders["quiet"], folders["noisy"])
+    (of_delta_e,) = [each for each in result.differences if each.pairs.metric.is_delta_e]
+    values = [[float(row["mean_delta_e"]) for row in rows(folders[name])] for name in ("quiet", "noisy")]
+    np.testing.assert_array_equal(of_delta_e.pairs.differences, np.subtract(values[1], values[0]))
+    assert of_delta_e.sign == 1, "the quiet one is better"
+    assert result.sentences[0].startswith("mean ΔE: quiet is better than noisy by ")
+    assert result.only_in_one == 0
+    code, out, _ = command("compare --json", folders["quiet"], folders["noisy"])
+    assert (code, json.loads(out)["differences"]) == (0, json.loads(json.dumps(result.as_dict()))["differences"])
+
+
+def test_studies_are_paired_at_each_size(folders: dict[str, Path]) -> None:
+    result = pixsim.compare_results(folders["study"], folders["noisier"])
+    assert [each.place["pitch_um"] for each in result.differences] == TINY["pitch"]["values_um"]
+    assert all(each.pairs.a.size == 2 for each in result.differences)
+    assert result.to_csv().count("\n") == 1 + len(result.differences)
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "texts"),
+    [
+        ("quiet", "other", ["random streams (('evaluate', 0) and ('evaluate', 9))", "light's seed"]),
+        ("quiet", "study", ["a run and a study", "one kind"]),
+    ],
+)
+def test_what_differs_is_said(a: str, b: str, texts: list[str], folders: dict[str, Path]) -> None:
+    with pytest.raises(PixsimError) as error:
+        pixsim.compare_results(folders[a], folders[b])
+    assert not [text for text in texts if text not in str(error.value)], str(error.value)
+
+
+def test_a_folder_of_another_version_is_named_as_such(folders: dict[str, Path], tmp_path: Path) -> None:
+    for path in folders["quiet"].iterdir():
+        if path.is_file():
+            (tmp_path / path.name).write_bytes(path.read_bytes())
+    provenance = json.loads((tmp_path / PROVENANCE).read_text(encoding="utf-8"))
+    provenance["versions"]["pixsim"] = "1.0.3"
+    (tmp_path / PROVENANCE).write_text(json.dumps(provenance), encoding="utf-8")
+    assert_refused(*command("compare", folders["quiet"], tmp_path), [f"'{tmp_path}', of pixsim 1.0.3", "Make it again"])
+    (tmp_path / PROVENANCE).write_bytes((folders["quiet"] / PROVENANCE).read_bytes())
+    (tmp_path / "results.csv").unlink()
+    assert_refused(*command("compare", folders["quiet"], tmp_path), ["without results.csv"])
+    (tmp_path / "score.json").unlink()
+    assert_refused(*command("compare", folders["quiet"], tmp_path), ["without score.json, summary.json, compare.json"])
