@@ -205,11 +205,18 @@ class Comparison:
     # --- groups, and rows of the table
 
     def groups(self, match: Match | None = None) -> list[SensorGroup]:
-        """Return the groups of all sensors under each condition."""
+        """Return the groups of all sensors under each condition.
+
+        match : of the cameras; None means the one that was asked for
+        """
         return self.job.of_sensors(self.combination, match=match)
 
     def groups_of_pair(self, other: str, match: Match | None = None) -> list[SensorGroup]:
-        """Return the groups of the first sensor and another one alone; where they see the same as among all, that of all."""
+        """Return the groups of the first sensor and another one alone; where they see the same as among all, that of all.
+
+        other : name of the other sensor
+        match : of the cameras; None means the one that was asked for
+        """
         alone = {group.first.condition: group for group in self.job.of_sensors(self.combination, other, match)}
         return [alone.get(group.first.condition, group) for group in self.groups(match)]
 
@@ -228,7 +235,10 @@ class Comparison:
         return rows.take(rows.columns[DOTS] == stated[rows.case])
 
     def weights(self, groups: Sequence[SensorGroup]) -> dict[str, float] | None:
-        """Return the share of each condition; None of one alone."""
+        """Return the share of each condition; None for one group.
+
+        groups : one for each condition
+        """
         return {group.first.condition: group.weight for group in groups} if len(groups) > 1 else None
 
     def of_group(self, group: SensorGroup) -> dict[str, ComparedSensor]:
@@ -290,6 +300,8 @@ class Comparison:
     ) -> Pairs:
         """Return the pairs of frames of the first sensor and another one alone.
 
+        other : name of the other sensor
+        metric : whose numbers are paired
         dots : of the display; None means the stated one
         match : of the cameras; None means the one that was asked for
         condition : its name; None means the weighted mean over all
@@ -326,9 +338,13 @@ class Comparison:
         return {other: self.film_of_pair(other) for other in self.names[1:]}
 
     def film_of_pair(self, other: str, match: Match | None = None, condition: str | None = None) -> float | None:
-        """Return the largest error of the difference of the first sensor and another one that the film may cause.
+        """Return the largest error of the difference of mean ΔE of the first sensor and another one that the film may cause.
 
         Both sensors see the same film, so that it is less than the errors of both together. Those of conditions add up, by weight.
+
+        other : name of the other sensor
+        match : of the cameras; None means the one that was asked for
+        condition : its name; None means the weighted mean over all
         """
         total = 0.0
         for group in self.groups_of_pair(other, match):
@@ -415,12 +431,20 @@ class Comparison:
         return shown_delta_e(mean, (high - low) / 2, film)
 
     def sign(self, other: str, *, match: Match | None = None, condition: str | None = None) -> int:
-        """Return 1 if the first sensor is surely better than another one on the stated display, -1 if that one is, else 0."""
+        """Return 1 if the first sensor is surely better than another one on the stated display, -1 if that one is, else 0.
+
+        other : name of the other sensor
+        match : of the cameras; None means the one that was asked for
+        condition : its name; None means the weighted mean over all
+        """
         pairs, film = self.pairs(other, match=match, condition=condition), self.film_of_pair(other, match, condition)
         return DisplayDifference(0, pairs.difference, pairs.interval, film).sign
 
     def depends(self, other: str) -> list[str]:
-        """Return what turns the answer for the first sensor and another: the display, the match, or the condition, in words."""
+        """Return what turns the answer for the first sensor and another: the display, the match, or the condition, in words.
+
+        other : name of the other sensor
+        """
         stated, *on_others = self.display_differences(other)
         first = self.names[0]
 

@@ -82,7 +82,10 @@ class Table(Sequence[dict[str, Any]]):
             yield row | ({REASON: reasons.get(number, "")} if reasons else {})
 
     def take(self, rows: NDArray[Any]) -> Table:
-        """Return some of the rows: their numbers, or whether each is taken."""
+        """Return some of the rows.
+
+        rows : their numbers, (M,) int; or whether each is taken, (N,) bool
+        """
         places = np.flatnonzero(rows) if rows.dtype == bool else rows
         return replace(
             self,

@@ -19,7 +19,7 @@ from pixsim.light.exr import read_channels
 from pixsim.scene.packaged import packaged_scenes
 
 RUN_FILES = {
-    "irradiance.exr", "raw.exr", "ideal.png", "image.png", "delta_e.exr", "delta_e.png", "score.json",
+    "results.csv", "irradiance.exr", "raw.exr", "ideal.png", "image.png", "delta_e.exr", "delta_e.png", "score.json",
     "settings.toml", "provenance.json",
     "report.html",
 }  # fmt: skip

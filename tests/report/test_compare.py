@@ -16,7 +16,9 @@ from helpers.sheets import two_sheets
 
 import pixsim
 from pixsim.studies.comparison import Comparison, DisplayDifference, shown_delta_e, verdict_words
+from pixsim.studies.design import Case
 from pixsim.studies.paired import Pairs
+from pixsim.viewer.setting import Run
 
 SMALL = "--display.dots 120 --resolution 48 -D luminance_cd_per_m2=1 --repeats 3 --jobs 1 --variant scalar_spectral"
 
@@ -131,7 +133,7 @@ def test_verdict_depends_on_the_display_where_the_sign_differs(
     ],
 )
 def test_headline_over_axes_says_where_which_is_better(signs: list[int], words: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    cases = [SimpleNamespace(words=f"light {light:g}") for light in (100, 0.05, 1)]
+    cases = [Case(settings=Run(), at={"light": light}) for light in (100, 0.05, 1)]
     job = SimpleNamespace(names=("a", "b"), match="lens", combinations=cases)
     monkeypatch.setattr(Comparison, "depends", lambda self, other: [])
     monkeypatch.setattr(Comparison, "sign", lambda self, other, match=None, condition=None: signs[self.combination])

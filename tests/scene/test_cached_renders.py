@@ -73,7 +73,7 @@ def test_render_cache_empty_warm_or_off_gives_equal_bytes(tmp_path, rendered, mo
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "kept"))
     monkeypatch.setenv(LIMIT_VARIABLE, "0")
     assert run(tmp_path / "out") == cold
-    assert len(cold) == 9
+    assert len(cold) == 10
 
 
 def lit(path: str | Path = "csf", full: bool = False, **more: Any) -> tuple[bytes, str]:
