@@ -135,8 +135,8 @@ def test_technologies_are_loaded_before_pixels_are_derived() -> None:
 
 PARTS_OF_IMAGING = {
     "Camera": "camera", "CameraOptions": "camera", "Pixel": "pixel", "PixelOptions": "pixel", "PixelPhysics": "pixel",
-    "Technology": "pixel", "Exposure": "exposure", "Motion": "motion", "Correction": "correction", "Develop": "develop",
-    "Display": "display", "MetricOptions": "metrics", "MetricRequest": "metrics",
+    "Technology": "pixel", "Readout": "readout", "Exposure": "exposure", "Motion": "motion", "Correction": "correction",
+    "Develop": "develop", "Display": "display", "MetricOptions": "metrics", "MetricRequest": "metrics",
 }  # fmt: skip
 BUILD_IMAGING = {"viewer.evaluate.evaluate", "studies.sweep.sweep"}  # public: the records are their arguments
 

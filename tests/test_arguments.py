@@ -31,6 +31,7 @@ from pixsim.base.arguments import check_of, without_bounds
 from pixsim.base.errors import PixsimError
 from pixsim.optics.camera import CameraOptions
 from pixsim.optics.lens_options import LensOptions
+from pixsim.sensor.reading import Readout
 
 LIMIT_S = 20.0  # of a call; the slowest takes 0.1 s, the import of Dask 1 s, on a loaded machine many times that
 NM = np.array([450.0, 550.0, 650.0])
@@ -62,6 +63,7 @@ def limited() -> Iterator[None]:
 CAMERA, PIXEL, DISPLAY, EXPOSURE = pixsim.Camera(), pixsim.Pixel(pitch_um=100.0), pixsim.Display(dots=8), pixsim.Exposure()
 LIGHT = pixsim.SpectralImage(NM, 10.0, 2713.6 / 8, data=np.full((8, 8, 3), 1e-3), header={"luminance_cd_per_m2": 100.0})
 PHYSICS = pixsim.derive(PIXEL)
+READOUT = Readout.of(PHYSICS)
 TECHNOLOGY = pixsim.load_technology("0.35um")
 SENSOR = pixsim.make_sensor(PIXEL, CAMERA)
 FRAME = pixsim.capture(LIGHT, CAMERA, SENSOR, rng=np.random.default_rng(0))
@@ -105,7 +107,7 @@ GOOD: dict[str, Any] = {
     "message": "x", "path": "a.exr", "name": "0.35um", "wavelength_nm": NM, "band_width_nm": 10.0,
     "pitch_um": 100.0, "data": np.ones((2, 2, 3)), "irradiance": LIGHT, "image": LIGHT, "camera": CAMERA, "pixel": PIXEL,
     "exposure": EXPOSURE, "display": DISPLAY, "sensor": SENSOR, "rng": np.random.default_rng(0), "physics": PHYSICS,
-    "imaging": imaging(CAMERA, PIXEL, EXPOSURE, DISPLAY),
+    "readout": READOUT, "imaging": imaging(CAMERA, PIXEL, EXPOSURE, DISPLAY),
     "technology": TECHNOLOGY, "frame": FRAME, "kind": "flat", "texels": np.ones((2, 2), np.float32), "scene": scene,
     "reference_xyz": XYZ, "test_xyz": XYZ, "white_xyz": [95.0, 100.0, 108.0], "samples_per_deg": 23.0, "xyz": XYZ,
     "reference_lab": XYZ, "lab_reference": XYZ, "lab_test": XYZ, "luminance": PLANE, "picture": PLANE, "weight": np.ones(3),
@@ -168,7 +170,8 @@ ALWAYS = {"pixsim.SpectralImage": ("data",)} | dict.fromkeys(
 )
 INSTANCES: dict[str, Callable[[], Any]] = {
     "Camera": lambda: CAMERA, "CameraOptions": CameraOptions, "Study": lambda: STUDY, "Technology": lambda: TECHNOLOGY,
-    "SpectralImage": lambda: LIGHT, "PixelPhysics": lambda: PHYSICS, "EdgeResponse": edge, "Scene": scene,
+    "SpectralImage": lambda: LIGHT, "PixelPhysics": lambda: PHYSICS, "Readout": lambda: READOUT,
+    "EdgeResponse": edge, "Scene": scene,
     **dict.fromkeys(("Score", "FrameScore"), score), "Table": sensor_table,
     "Exposure": lambda: EXPOSURE, "Motion": lambda: pixsim.Motion(image_um_per_s=(100.0, 0.0)),
     "Plan": plan, "Frame": lambda: FRAME, "Sensor": lambda: SENSOR, "RawFrame": lambda: pixsim.read_frame,

@@ -23,6 +23,7 @@ from pixsim.measure.datasheet import datasheet_settings, make_datasheet
 from pixsim.report.study import settings as settings_tables
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel_options import Pixel, is_data_sheet
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.unit_slips import unit_slips
 from pixsim.studies.files import load_study
 from pixsim.studies.prepare import check_technologies, prepare
@@ -202,13 +203,13 @@ def test_unknown_name_of_a_sensor_names_the_packaged_ones() -> None:
 def expected_numbers(pixel: pixsim.Pixel, name: str) -> dict[str, float]:
     """Symbol of the data sheet -> the number that was given."""
     nm = PUBLISHED[name]
-    physics = pixsim.derive(pixel)
+    readout = Readout.of(pixsim.derive(pixel))
     expected = {
         "K": pixel.gain_e_per_dn and 1 / pixel.gain_e_per_dn,
-        "η": 100 * float(physics.quantum_efficiency(nm)),
+        "η": 100 * float(readout.physics.quantum_efficiency(nm)),
         "σ_d": pixel.temporal_dark_noise_e,
         # Of a full well beyond the ADC's range nothing can be measured but that range.
-        "μ_e.sat": pixel.saturation_capacity_e or min(pixel.full_well_e, physics.adc_range_e),
+        "μ_e.sat": pixel.saturation_capacity_e or min(pixel.full_well_e, readout.adc_range_e),
         **STATED_DB.get(name, {}),
         "PRNU_1288": pixel.prnu_percent,
         "DSNU_1288": pixel.dsnu_e,

@@ -33,6 +33,7 @@ from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import MISMATCH, STANDS_FOR, DarkCurrent, Pixel, PixelOptions, excluded_by
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame, capture_from_rates, sample_sensor
 from pixsim.sensor.technology import Junction, Technology, load_technology
 from pixsim.studies.settings import PitchRange
@@ -338,9 +339,9 @@ def test_capture_any_technology_is_possible_or_raises() -> None:
         with only_explained_errors(outcomes):
             technology = Technology.model_validate(process)
             with patch("pixsim.sensor.pixel.load_technology", lambda _: technology):
-                physics = derive(Pixel.model_validate(fields))
-            sensor = sample_sensor(physics, (3, 4), np.random.default_rng(level[2]))
-            rate = picture("random", (3, 4), *level) * 1e20 * physics.photodiode_area_um2
+                readout = Readout.of(derive(Pixel.model_validate(fields)))
+            sensor = sample_sensor(readout, (3, 4), np.random.default_rng(level[2]))
+            rate = picture("random", (3, 4), *level) * 1e20 * readout.physics.photodiode_area_um2
             assert_possible(capture_from_rates(rate, sensor, Exposure.model_validate(exposure), np.random.default_rng(1)))
 
     captured()

@@ -246,7 +246,9 @@ class Session:
         settings, shown = result.settings, {}
         for control in self.controls:
             table, _, name = control.path.partition(".")
-            places: list[object] = [getattr(settings, table), result.camera, result.score.physics, result.score.frame]
+            score = result.score
+            of_pixel = score.physics, score.readout, score.readout.adc
+            places: list[object] = [getattr(settings, table), result.camera, *of_pixel, score.frame]
             value = next((each for place in places if (each := getattr(place, name, None)) is not None), None)
             if table == "scene":
                 given = settings.scene.get(name, result.prepared.cases[0].scene.text().defaults.get(name))

@@ -24,7 +24,7 @@ from pixsim.measure.estimators import Estimate, Frames
 from pixsim.measure.experiment import Experiment
 from pixsim.sensor.collection import ColourCollection, collections_of, even_light
 from pixsim.sensor.colour import Layout, of_channels
-from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import frame_variance_dn2, read_out, sample_sensor
 from pixsim.viewer.colour_matrix import STANDARD_NM, chart_responses, chart_xyz, metamerism_index
 from pixsim.viewer.develop import Rendition, check_told_apart, product
@@ -56,7 +56,7 @@ class ColourTruth:
 class Colour:
     """Statistics of the fields of a device. Signals are minus the dark.
 
-    physics : of what is read, without a channel
+    readout : how the pixels are read, without a channel
     patches_dn, patches_error_dn : (18, C) means and their standard errors
     white_dn, white_error_dn : (C,)
     gain_error : (C,) relative, of the mean gain of the device's pixels in each channel against that of its type
@@ -65,7 +65,7 @@ class Colour:
     seed : of the redraws
     """
 
-    physics: PixelPhysics
+    readout: Readout
     integration_s: float
     truth: ColourTruth
     patches_dn: Array = field(repr=False)
@@ -79,8 +79,9 @@ class Colour:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        assert self.physics.layout is not None
-        return self.physics.layout.channels
+        layout = self.readout.physics.layout
+        assert layout is not None
+        return layout.channels
 
     @cached_property
     def measured(self) -> Rendition:
@@ -130,7 +131,7 @@ class Colour:
 
     def true_snr(self) -> tuple[float, float]:
         """The same from the parameters, mean temporal variance of the pixels."""
-        p, opponent = self.physics, opponents(self.truth.rendition)
+        p, opponent = self.readout, opponents(self.truth.rendition)
         variance = frame_variance_dn2(GREY * self.truth.white_e, self.integration_s, p, fixed_pattern=False)
         of_white = variance / (self.truth.white_e * p.dn_per_e) ** 2
         luminance, *chrominance = (opponent**2 * of_white).sum(axis=1)
@@ -162,12 +163,12 @@ def opponents(rendition: Rendition) -> Array:
     return np.stack([luminance, red - luminance, blue - luminance])
 
 
-def colour_truth(physics: PixelPhysics, integration_s: float) -> ColourTruth:
+def colour_truth(readout: Readout, integration_s: float) -> ColourTruth:
     """Return what follows from the parameters of a colour pixel as it is read.
 
     Raises PixsimError if the channels do not tell the patches' colours apart, or if the matrix amplifies noise too much.
     """
-    power = illuminant(LAMP, STANDARD_NM)
+    physics, power = readout.physics, illuminant(LAMP, STANDARD_NM)
     responses = np.stack([one.quantum_efficiency(STANDARD_NM) * photons_per_joule(STANDARD_NM) for one in physics.channels], axis=1)
     xyz, white_xyz = chart_xyz(STANDARD_NM, power)
     seen = chart_responses(STANDARD_NM, responses, power)[CHROMATIC_PATCHES]
@@ -175,16 +176,15 @@ def colour_truth(physics: PixelPhysics, integration_s: float) -> ColourTruth:
     rendition = Rendition(seen, xyz[CHROMATIC_PATCHES], white_xyz, "bradford", LAMP)
     layout = Layout.of_pixels(physics.pixel)
     assert layout is not None
-    one_pixel = replace(physics, bin_side=1)
     lights = [even_light(STANDARD_NM, power * curve) for curve in responses.T]
-    collections = collections_of(one_pixel, lights, (1, 1))
+    collections = collections_of(physics, lights, (1, 1))
     white = rates
     if collections:
-        collection = ColourCollection(layout, tuple(collections), tuple(rates.tolist()), physics.pitch_um, physics.bin_side)
+        collection = ColourCollection(layout, tuple(collections), tuple(rates.tolist()), physics.pitch_um, readout.bin_side)
         rendition, white = rendition.mixed_by(collection.mixing_um2, rates), collection.white_e_per_s
     check_told_apart(rendition.responses, LAMP)
     rendition.matrix(DEVELOP)
-    largest_e = physics.saturation_e - physics.dark_current_e_per_s * integration_s
+    largest_e = readout.saturation_e - readout.dark_current_e_per_s * integration_s
     return ColourTruth(rendition, white * (WHITE_SHARE * largest_e / white.max()))
 
 
@@ -196,12 +196,12 @@ def measure_colour(experiment: Experiment, gain_spread: float = 0.0) -> Colour:
     Raises PixsimError as `colour_truth` does, for a frame without pixels of every channel, and for a channel that white hardly
     fills.
     """
-    physics, time_s = replace(experiment.physics, channel=""), experiment.integration_s
-    truth, layout = colour_truth(physics, time_s), physics.layout
+    readout, time_s = experiment.readout.with_physics(channel=""), experiment.integration_s
+    truth, layout = colour_truth(readout, time_s), readout.physics.layout
     assert layout is not None
     rows, columns = experiment.sensor.shape
     shape = rows * layout.planes, columns
-    sensor = sample_sensor(physics, shape, stream("datasheet", experiment.seed, "colour sensor"))
+    sensor = sample_sensor(readout, shape, stream("datasheet", experiment.seed, "colour sensor"))
     numbers = layout.numbers(shape)
     counts = np.bincount(numbers.ravel(), minlength=len(layout.channels))
     if not counts.all():
@@ -232,7 +232,7 @@ def measure_colour(experiment: Experiment, gain_spread: float = 0.0) -> Colour:
     difference = (grey[0] - grey[1]) / math.sqrt(2)
     least = int(counts.min())
     return Colour(
-        physics,
+        readout,
         time_s,
         truth,
         patches_dn=np.array([mean - dark for mean, _ in fields]),

@@ -43,6 +43,7 @@ from pixsim.sensor.noise import constant_e, signal_at_snr_e, variance_e2
 from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY, Pixel
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import frame_variance_dn2
 from pixsim.sensor.saturation import level_moments, peak_e
 from pixsim.sensor.stages import STAGES
@@ -62,41 +63,41 @@ GREY_FRAMES = 16  # ISO 15739 requires at least 8
 GREY_SHARE = 0.13  # of saturation: the reference level of ISO 15739, section 6.3
 
 
-def expected_moments(mean_e: float, integration_s: float, physics: PixelPhysics) -> tuple[float, float]:
+def expected_moments(mean_e: float, integration_s: float, readout: Readout) -> tuple[float, float]:
     """Mean (DN) and mean temporal variance (DN²) over the pixels at `mean_e` photo-electrons; the quantiser adds 1/12 DN².
 
     Shot noise is approximated by a normal distribution, as in `pixsim.sensor.saturation`.
     """
-    p, dark_e = physics, physics.dark_current_e_per_s * integration_s
+    p, dark_e = readout, readout.dark_current_e_per_s * integration_s
     mean, variance = level_moments(
         mean_e, dark_e, p.adc_range_e, lambda generated: stored_signal_e(generated, integration_s, p),
         noise_e=p.noise_floor_e, gain_spread=p.prnu, offset_spread_e=p.offset_e,
     )  # fmt: skip
-    return mean * p.dn_per_e + p.pixel.black_level_dn, variance * p.dn_per_e**2 + 1 / 12
+    return mean * p.dn_per_e + p.adc.black_level_dn, variance * p.dn_per_e**2 + 1 / 12
 
 
-def expected_curve(mean_e: Array, integration_s: float, physics: PixelPhysics) -> tuple[Array, Array]:
+def expected_curve(mean_e: Array, integration_s: float, readout: Readout) -> tuple[Array, Array]:
     """`expected_moments` at (n,) signals: (n,) means (DN) and (n,) temporal variances (DN²)."""
-    mean, variance = np.array([expected_moments(electrons, integration_s, physics) for electrons in mean_e.tolist()]).T
+    mean, variance = np.array([expected_moments(electrons, integration_s, readout) for electrons in mean_e.tolist()]).T
     return mean, variance
 
 
-def variance_peak_e(physics: PixelPhysics, integration_s: float, brightest_e: float) -> float:
+def variance_peak_e(readout: Readout, integration_s: float, brightest_e: float) -> float:
     """Mean photo-electrons at which the temporal variance peaks: the saturation of EMVA 1288."""
-    return peak_e(lambda electrons: expected_moments(electrons, integration_s, physics)[1], brightest_e)
+    return peak_e(lambda electrons: expected_moments(electrons, integration_s, readout)[1], brightest_e)
 
 
 def row_noise(experiment: Experiment) -> RowNoise:
     """Temporal noise that the pixels of a row of the device share, by the pixel's parameters."""
-    physics = experiment.physics
-    return RowNoise((physics.dn_per_e * constant_e(physics, is_temporal=True, along="row")) ** 2, experiment.sensor.shape[0])
+    readout = experiment.readout
+    return RowNoise((readout.dn_per_e * constant_e(readout, is_temporal=True, along="row")) ** 2, experiment.sensor.shape[0])
 
 
 def dark_map_e(experiment: Experiment) -> Array:
     """(rows, columns) mean dark signal of the device's pixels: pixel offsets, column offsets and dark charge, e-."""
     sensor, map_e = experiment.sensor, np.zeros(experiment.sensor.shape)
     if sensor.dark_gain is not None:
-        map_e = map_e + sensor.dark_gain * (experiment.physics.dark_current_e_per_s * experiment.integration_s)
+        map_e = map_e + sensor.dark_gain * (experiment.readout.dark_current_e_per_s * experiment.integration_s)
     for offset_e in (sensor.offset_e, sensor.column_offset_e):
         if offset_e is not None:
             map_e = map_e + offset_e
@@ -191,7 +192,7 @@ class DataSheet:
     @property
     def true_dark_noise_e(self) -> float:
         """Temporal dark noise by the pixel's parameters."""
-        p = self.experiment.physics
+        p = self.experiment.readout
         return math.sqrt(variance_e2(p, is_temporal=True) + p.dark_current_e_per_s * self.experiment.integration_s)
 
     @cached_property
@@ -210,8 +211,8 @@ class DataSheet:
     def expected(self) -> tuple[Array, Array]:
         """(n,) signals (DN) and (n,) temporal variances (DN²) of the light series by the model, minus those in the dark."""
         e = self.experiment
-        mean, variance = expected_curve(e.photons * e.efficiency, e.integration_s, e.physics)
-        dark_mean, dark_variance = expected_curve(np.zeros(1), e.integration_s, e.physics)
+        mean, variance = expected_curve(e.photons * e.efficiency, e.integration_s, e.readout)
+        dark_mean, dark_variance = expected_curve(np.zeros(1), e.integration_s, e.readout)
         return mean - dark_mean, variance - dark_variance
 
     @cached_property
@@ -222,8 +223,8 @@ class DataSheet:
     @property
     def full_in_the_dark(self) -> float:
         """The fraction of hot pixels whose dark charge alone saturates them at the longest time of the dark series."""
-        e, p = self.experiment, self.experiment.physics
-        if e.sensor.dark_gain is None or not p.hot_pixel_fraction:
+        e, p = self.experiment, self.experiment.readout
+        if e.sensor.dark_gain is None or not e.physics.hot_pixel_fraction:
             return 0.0
         charge_e = e.sensor.dark_gain * (p.dark_current_e_per_s * float(self.dark_series.at[-1]))
         return float(np.mean(charge_e > p.saturation_e))
@@ -231,21 +232,21 @@ class DataSheet:
     @property
     def notes(self) -> list[str]:
         """Notes for the reader: a raised black level, a quantisation limit, a non-linear conversion."""
-        pixel, asked = self.experiment.physics.pixel, self.experiment.asked_black_dn
+        pixel, p, asked = self.experiment.pixel, self.experiment.readout, self.experiment.asked_black_dn
         notes = []
         if pixel.black_level_dn != asked:
-            name = "full well" if self.experiment.physics.adc_full_scale_e is None else "full scale"
+            name = "full well" if pixel.adc_full_scale_e is None else "full scale"
             left = f"The {name} spans the remaining codes, which reduces K."
-            if self.experiment.physics.gain_e_per_dn is not None:
-                left = f"The ADC's range is {self.experiment.physics.adc_range_e:.4g} e- above it."
+            if p.adc.gain_e_per_dn is not None:
+                left = f"The ADC's range is {p.adc_range_e:.4g} e- above it."
             notes.append(
                 f"black level raised from {asked:g} to {pixel.black_level_dn:g} DN, 6 σ of the dark noise, so that the dark frames "
                 f"are not clipped at 0 DN. {left}"
             )
-        if self.experiment.physics.adc_range_e < self.experiment.physics.full_well_e:
+        if p.adc_range_e < p.full_well_e:
             notes.append(
-                f"the ADC clips before the well: its top code is at {self.experiment.physics.adc_range_e:.4g} e-, the full well at "
-                f"{self.experiment.physics.full_well_e:.4g} e-. The saturation capacity is that of the ADC."
+                f"the ADC clips before the well: its top code is at {p.adc_range_e:.4g} e-, the full well at "
+                f"{p.full_well_e:.4g} e-. The saturation capacity is that of the ADC."
             )
         if self.transfer.limited:
             notes.append(
@@ -253,15 +254,17 @@ class DataSheet:
                 "DR_ISO says nothing of the sensor, and K and all values derived from it are wrong by some per cent, because the "
                 f"quantisation noise is no longer 1/12 DN². Use more than {pixel.bits} bits (pixel.bits)."
             )
-        p = self.experiment.physics
-        if p.layout is not None:
+        physics, at_nm = self.experiment.physics, self.experiment.wavelength_nm
+        if physics.layout is not None:
             notes.append(
-                f"colour filters {p.layout}: EMVA 1288, ISO 15739 and ISO 12232 take each channel for itself. Values without the "
-                f"name of a channel are those of {p.channel}, in light of {self.experiment.wavelength_nm:g} nm; gain, dark noise "
+                f"colour filters {physics.layout}: EMVA 1288, ISO 15739 and ISO 12232 take each channel for itself. Values without "
+                f"the name of a channel are those of {physics.channel}, in light of {at_nm:g} nm; gain, dark noise "
                 "and dark current are those of all channels."
             )
         if p.bin_side > 1:
-            notes.append(f"binning: a pixel of this sheet is the sum of {p.bin_side} × {p.bin_side} pixels of {p.pitch_um:g} µm.")
+            notes.append(
+                f"binning: a pixel of this sheet is the sum of {p.bin_side} × {p.bin_side} pixels of {physics.pitch_um:g} µm."
+            )
         if isinstance(self.colour, str):
             notes.append(f"no colour matrix: {self.colour}")
         if self.full_in_the_dark:
@@ -285,8 +288,8 @@ class DataSheet:
         """Return the data sheet as in summary.json."""
         e = self.experiment
         return {
-            "pixel": e.physics.pixel.model_dump(), "assumption": e.physics.pixel.assumption,
-            "wavelength_nm": e.wavelength_nm, "integration_s": e.integration_s, "gain_db": e.physics.gain_db,
+            "pixel": e.pixel.model_dump(), "assumption": e.physics.pixel.assumption,
+            "wavelength_nm": e.wavelength_nm, "integration_s": e.integration_s, "gain_db": e.readout.gain_db,
             "shape": list(e.sensor.shape), "exposures": e.photons.size, "stack_frames": e.stack_frames, "seed": e.seed,
             "black_level_asked_dn": e.asked_black_dn, "quantisation_limited": self.transfer.limited,
             "notes": self.notes, "entries": [entry.as_dict() for entry in self.entries],
@@ -417,10 +420,10 @@ def measure(experiment: Experiment, stage: Stage | None = None, wavelength_nm: f
     Raises PixsimError if codes are so coarse that no frame shows noise.
     """
     report_progress = stage or no_stage
-    p = experiment.physics
+    p = experiment.readout
     largest_dn2 = float(frame_variance_dn2(p.saturation_e, experiment.integration_s, p, fixed_pattern=False)) - QUANTISATION_DN2
     if largest_dn2 < LEAST_NOISE_DN**2:
-        got = f"{p.pixel.bits}: a code is {1 / p.dn_per_e:.3g} e-, and hides the noise of light, from which K is measured"
+        got = f"{p.adc.bits}: a code is {1 / p.dn_per_e:.3g} e-, and hides the noise of light, from which K is measured"
         allowed = f"codes of at most {1 / LEAST_NOISE_DN:g} standard deviations of the temporal noise at saturation"
         raise invalid("pixel.bits", got, allowed, "Use more bits, or a smaller full well.")
 
@@ -531,7 +534,7 @@ def decibel(ratio: Estimate) -> Estimate:
 
 def sensitivity(sheet: DataSheet) -> list[Entry]:
     """Gain, quantum efficiency, dark noise, saturation, SNR, dynamic range and linearity."""
-    t, e, p, true = sheet.transfer, sheet.experiment, sheet.experiment.physics, sheet.true_linearity
+    t, e, p, true = sheet.transfer, sheet.experiment, sheet.experiment.readout, sheet.true_linearity
     eta, dn2 = e.efficiency, p.dn_per_e**2
     saturation_e = variance_peak_e(p, e.integration_s, float(e.photons[-1]) * eta)
     dark_dn2 = sheet.true_dark_noise_e**2 * dn2 + QUANTISATION_DN2
@@ -539,9 +542,9 @@ def sensitivity(sheet: DataSheet) -> list[Entry]:
     limited = "quantisation-limited: an upper bound" if t.limited else ""
     step = "standard error: one exposure step"
     peak = "peak of the model's expected variance"
-    straight = p.pixel.conversion == "linear" and p.pixel.well_limit == "swing"
-    span = "full well" if p.adc_full_scale_e is None else "adc_full_scale_e"
-    of_gain = f"(2^bits - 1 - black) / {span}" if p.gain_e_per_dn is None else "1 / gain_e_per_dn"
+    straight = e.pixel.conversion == "linear" and e.pixel.well_limit == "swing"
+    span = "full well" if e.pixel.adc_full_scale_e is None else "adc_full_scale_e"
+    of_gain = f"(2^bits - 1 - black) / {span}" if p.adc.gain_e_per_dn is None else "1 / gain_e_per_dn"
     of_gain += f" · 10^({p.gain_db:g} dB / 20)" if p.gain_db else ""
     of_line = "straight line" if straight else "the model's expected curve"
     return [
@@ -569,9 +572,9 @@ def channels(sheet: DataSheet) -> list[Entry]:
     """Responsivity, quantum efficiency, threshold and saturation of the other channels of a colour sensor."""
     lines = []
     for letter, (e, t) in sheet.channels.items():
-        k, eta, at = e.physics.dn_per_e, e.efficiency, f"channel {letter}, {e.wavelength_nm:g} nm"
+        k, eta, at = e.readout.dn_per_e, e.efficiency, f"channel {letter}, {e.wavelength_nm:g} nm"
         dark_e = math.sqrt(sheet.true_dark_noise_e**2 + QUANTISATION_DN2 / k**2)
-        saturation_e = variance_peak_e(e.physics, e.integration_s, float(e.photons[-1]) * eta)
+        saturation_e = variance_peak_e(e.readout, e.integration_s, float(e.photons[-1]) * eta)
         lines += [
             line(EMVA, f"responsivity, {at}", f"R_{letter}", "DN/p", t.responsivity_dn_per_p, k * eta, "K η"),
             line(EMVA, f"quantum efficiency, {at}", f"η_{letter}", "%", t.efficiency * 100, 100 * eta,
@@ -624,7 +627,7 @@ def linearity_estimate(sheet: DataSheet, name: str) -> Estimate:
 
 def spatial(sheet: DataSheet) -> list[Entry]:
     """DSNU1288, its parts from columns, rows and single pixels (0 if the variance estimate is not positive), and PRNU1288."""
-    p, map_e, k = sheet.experiment.physics, dark_map_e(sheet.experiment), sheet.transfer.gain_dn_per_e
+    p, map_e, k = sheet.experiment.readout, dark_map_e(sheet.experiment), sheet.transfer.gain_dn_per_e
     dark_e = p.dark_current_e_per_s * sheet.experiment.integration_s
     nominal = math.sqrt(variance_e2(p, dark_e=dark_e, is_temporal=False))
     dsnu = f"from this device's maps; the parameters give √(offset² + column² + (σ_DSNU · dark)²) = {nominal:.4g}"
@@ -657,7 +660,7 @@ def doubling_from(physics: PixelPhysics) -> str:
 def dark(sheet: DataSheet) -> list[Entry]:
     """Dark current from the mean and from the variance, and its doubling temperature."""
     p, (from_mean, from_variance) = sheet.experiment.physics, sheet.dark_currents
-    current, unit, gain = p.dark_current_e_per_s, "e-/s", sheet.experiment.sensor.dark_gain
+    current, unit, gain = sheet.experiment.readout.dark_current_e_per_s, "e-/s", sheet.experiment.sensor.dark_gain
     at = f"mean of the pixels at {p.pixel.temperature_k:g} K"
     if p.hot_pixel_fraction and gain is not None:  # few pixels have much of it: that of one device differs from the stated mean
         at = f"mean of this device's pixels at {p.pixel.temperature_k:g} K; the parameters give {current:.4g}"
@@ -682,21 +685,21 @@ def mean_offset_e(experiment: Experiment) -> float:
 
 def highest_dn(experiment: Experiment) -> float:
     """Full scale of the device in DN: the ADC's top code, or the level of a full well below it."""
-    p = experiment.physics
+    p = experiment.readout
     full_e = p.full_well_e + mean_offset_e(experiment)
-    return float(2**p.pixel.bits - 1) if p.adc_range_e <= full_e else p.pixel.black_level_dn + full_e * p.dn_per_e
+    return float(p.adc.top_code_dn) if p.adc_range_e <= full_e else p.adc.black_level_dn + full_e * p.dn_per_e
 
 
 def largest_light_e(experiment: Experiment) -> float:
     """Mean photo-electrons at the full scale of the device: what its mean dark charge and offset leave of well and ADC range."""
-    p, gain = experiment.physics, experiment.sensor.dark_gain
+    p, gain = experiment.readout, experiment.sensor.dark_gain
     dark_e = p.dark_current_e_per_s * experiment.integration_s * (1.0 if gain is None else float(gain.mean()))
     return min(p.full_well_e, p.adc_range_e - mean_offset_e(experiment)) - dark_e
 
 
 def noise(sheet: DataSheet) -> list[Entry]:
     """ISO 15739: noise and S/N at 13 % of saturation, and dynamic range."""
-    e, p, k = sheet.experiment, sheet.experiment.physics, sheet.experiment.physics.dn_per_e
+    e, p, k = sheet.experiment, sheet.experiment.readout, sheet.experiment.readout.dn_per_e
     (temporal, fixed, total), signal_e = estimators.noise_15739(sheet.grey, sheet.of_rows), sheet.grey_photons * e.efficiency
     pattern_e = dark_map_e(e) + (0.0 if e.sensor.gain is None else signal_e * e.sensor.gain)
     dark_e = p.dark_current_e_per_s * e.integration_s
@@ -725,8 +728,8 @@ def noise(sheet: DataSheet) -> list[Entry]:
 
 def speed(sheet: DataSheet) -> list[Entry]:
     """ISO 12232: saturation-based and noise-based speed in daylight (CIE D65)."""
-    e, rising, p = sheet.experiment, sheet.rising, sheet.experiment.physics
-    per_lx_s = estimators.daylight_e_per_lx_s(p)
+    e, rising, p = sheet.experiment, sheet.rising, sheet.experiment.readout
+    per_lx_s = estimators.daylight_e_per_lx_s(e.physics)
     lx_s_per_photon = e.efficiency / per_lx_s
     top = Estimate(highest_dn(e) - sheet.dark.mean_dn)
     filling = top / sheet.transfer.responsivity_dn_per_p * lx_s_per_photon

@@ -261,14 +261,14 @@ def off(entry: Entry) -> str:
 
 def described(sheet: DataSheet) -> Answer:
     """Return the pixel and the measurement."""
-    e, p = sheet.experiment, sheet.experiment.physics
+    e, p, readout = sheet.experiment, sheet.experiment.physics, sheet.experiment.readout
     rows, columns = e.sensor.shape
-    exposed = f"{1e3 * e.integration_s:.4g} ms" + (f", {p.gain_db:g} dB" if p.gain_db else "")
+    exposed = f"{1e3 * e.integration_s:.4g} ms" + (f", {readout.gain_db:g} dB" if readout.gain_db else "")
     filters = f", filters {p.layout}" if p.layout else ""
     of = f" on channel {p.channel}" if p.channel else ""
-    pixel = f"{label_of(p.technology.name)}, {p.pitch_um:g} µm pixels{filters}, {p.pixel.bits} bits"
+    pixel = f"{label_of(p.technology.name)}, {p.pitch_um:g} µm pixels{filters}, {readout.adc.bits} bits"
     return headline([
-        f"{pixel}, black level {p.pixel.black_level_dn:g} DN, {p.pixel.temperature_k:g} K",
+        f"{pixel}, black level {readout.adc.black_level_dn:g} DN, {p.pixel.temperature_k:g} K",
         f"{columns} × {rows} pixels, {e.wavelength_nm:g} nm{of}, {exposed}",
         p.pixel.assumption or "",
     ])  # fmt: skip
@@ -293,7 +293,7 @@ def entry_rows(sheet: DataSheet) -> list[tuple[str, ...]]:
 
 def datasheet_document(sheet: DataSheet) -> Document:
     """Return the answer of `pixsim datasheet`: what was measured, and the true values."""
-    pixel = sheet.experiment.physics.pixel
+    pixel = sheet.experiment.pixel
     values = DocumentTable("measured and true values", COLUMNS, entry_rows(sheet), words=WORDS, stacks=True, wide=1)
     makers = (
         *(photon_transfer_plate, responsivity_plate, snr_plate, linearity_plate, dark_current_plate),

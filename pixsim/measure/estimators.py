@@ -411,7 +411,7 @@ def daylight_e_per_lx_s(physics: PixelPhysics) -> float:
     spectrum = d65(DAYLIGHT_NM)
     electrons = physics.band_quantum_efficiency(DAYLIGHT_NM, step) * photons_per_joule(DAYLIGHT_NM) * spectrum
     lux = float((luminous_weight(DAYLIGHT_NM, step) * spectrum).sum())
-    area_um2 = collected_area_um2(physics, even_light(DAYLIGHT_NM, electrons)) * physics.bin_side**2
+    area_um2 = collected_area_um2(physics, even_light(DAYLIGHT_NM, electrons)) * physics.pixel.bin_side**2
     return float(electrons.sum()) * M2_PER_UM2 * area_um2 / lux
 
 

@@ -23,6 +23,7 @@ from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import MAX_BLACK, Sensor, dark_spread_e, least_black_level_dn, read_out, sample_sensor
 from pixsim.sensor.technology import load_technology
 from pixsim.sensor.unit_slips import unit_slips
@@ -53,7 +54,7 @@ class Experiment:
 
     photons : (n,) per pixel, in rising order, one for each pair of the light series
     dark_times_s, temperatures_k : of the dark series
-    asked_black_dn : black level given by the user; that of the sensor's pixel is the one used
+    asked_black_dn : black level given by the user; that of the sensor's ADC is the one used
     """
 
     sensor: Sensor = field(repr=False)
@@ -68,8 +69,19 @@ class Experiment:
     seed: int = 0
 
     @property
+    def readout(self) -> Readout:
+        """How the device's pixels are read."""
+        return self.sensor.readout
+
+    @property
     def physics(self) -> PixelPhysics:
-        return self.sensor.physics
+        """Physical properties of a single pixel."""
+        return self.readout.physics
+
+    @property
+    def pixel(self) -> Pixel:
+        """Settings of the pixel, with the black level that is used."""
+        return self.physics.pixel.model_copy(update={"black_level_dn": self.readout.adc.black_level_dn})
 
     @cached_property
     def efficiency(self) -> float:
@@ -93,7 +105,8 @@ class Experiment:
         nm = peak_wavelength_nm(physics) if wavelength_nm is None else wavelength_nm
         efficiency = checked_efficiency(physics, nm)
         photons = self.photons * (self.efficiency / efficiency)
-        return replace(self, sensor=replace(self.sensor, physics=physics), wavelength_nm=nm, photons=photons)
+        sensor = replace(self.sensor, readout=replace(self.readout, physics=physics))
+        return replace(self, sensor=sensor, wavelength_nm=nm, photons=photons)
 
     def frames(self, count: int, photons: float, *key: object) -> Iterator[Frames]:
         """Frames under the same light at the integration time of the light series."""
@@ -105,7 +118,7 @@ class Experiment:
         sensor, times = self.sensor, self.dark_times_s
         if temperature_k is not None:
             key, sensor = ("temperature", round(1e6 * temperature_k)), self.warmed(temperature_k)
-            times = times * min(self.physics.dark_current_e_per_s / sensor.physics.dark_current_e_per_s, 1.0)
+            times = times * min(self.readout.dark_current_e_per_s / sensor.readout.dark_current_e_per_s, 1.0)
         frames = (
             (self.frame(0.0, time_s, *key, number, index, sensor=sensor) for index in range(2))
             for number, time_s in enumerate(times.tolist())
@@ -115,9 +128,9 @@ class Experiment:
     def warmed(self, temperature_k: float) -> Sensor:
         """The same device at another temperature: only its dark current changes, not its maps."""
         pixel = Pixel.model_validate(self.physics.pixel.model_dump() | {"temperature_k": temperature_k})
-        own = self.physics
-        warm = replace(derive(pixel, own.technology).as_read, full_well_e=own.full_well_e, gain_db=own.gain_db, channel=own.channel)
-        return replace(self.sensor, physics=warm)
+        device = self.physics
+        warm = replace(derive(pixel, device.technology), full_well_e=device.full_well_e, channel=device.channel)
+        return replace(self.sensor, readout=replace(self.readout, physics=warm))
 
 
 def pixel_efficiency(physics: PixelPhysics, wavelength_nm: float) -> float:
@@ -152,57 +165,57 @@ FINE_DN = 0.6  # spread of a dark frame from which rounding adds 1/12 DN², wher
 MIDWAY_DN = 0.25  # above a code, where the first term of the error of 1/12 DN², ∝ cos(2π mean), vanishes
 
 
-def with_black_level(physics: PixelPhysics, integration_s: float) -> PixelPhysics:
-    """The pixel with a black level of at least 6 σ of its dark noise; raises PixsimError if its ADC has too few codes for it.
+def with_black_level(readout: Readout, integration_s: float) -> Readout:
+    """The readout with a black level of at least 6 σ of its dark noise; raises PixsimError if its ADC has too few codes for it.
 
     A device whose dark frame spreads over less than `FINE_DN` has every pixel at the same place between two codes, and its
     measured temporal noise depends on that place (at σ = 0.46 DN by ±4 %). The level is then set where it does not.
     """
-    least = least_black_level_dn(physics, integration_s)
-    if physics.pixel.black_level_dn >= least:
-        return physics
-    if least > MAX_BLACK * (2**physics.pixel.bits - 1):
+    adc, least = readout.adc, least_black_level_dn(readout, integration_s)
+    if adc.black_level_dn >= least:
+        return readout
+    if least > MAX_BLACK * adc.top_code_dn:
         room = f"for a black level of 6 σ of the dark noise ({least} DN) in the lower half of the codes"
-        if physics.gain_db:  # where the ADC spans a given charge, more bits would make finer codes only
+        if readout.gain_db:  # where the ADC spans a given charge, more bits would make finer codes only
             hint = "Lower exposure.gain_db, or reduce the dark noise."
-            raise invalid("exposure.gain_db", f"{physics.gain_db:g}", f"a gain with room {room}", hint)
-        raise invalid("pixel.bits", physics.pixel.bits, f"enough bits {room}", "Raise pixel.bits, or reduce the dark noise.")
-    raised = replace(physics, pixel=physics.pixel.model_copy(update={"black_level_dn": float(least)}))
+            raise invalid("exposure.gain_db", f"{readout.gain_db:g}", f"a gain with room {room}", hint)
+        raise invalid("pixel.bits", adc.bits, f"enough bits {room}", "Raise pixel.bits, or reduce the dark noise.")
+    raised = replace(readout, adc=replace(adc, black_level_dn=float(least)))
     if dark_spread_e(raised, integration_s) * raised.dn_per_e >= FINE_DN:
         return raised
     mean_dn = least + raised.dark_current_e_per_s * integration_s * raised.dn_per_e
     level_dn = round(least + (MIDWAY_DN - mean_dn) % 1.0, 2)
-    return replace(raised, pixel=physics.pixel.model_copy(update={"black_level_dn": level_dn}))
+    return replace(readout, adc=replace(adc, black_level_dn=level_dn))
 
 
-def usual_integration_s(physics: PixelPhysics, exposure: Exposure) -> float:
+def usual_integration_s(readout: Readout, exposure: Exposure) -> float:
     """The given integration time; by default 30 ms, or less to keep dark charge below 2 % of saturation.
 
     Raises PixsimError if dark charge would fill half the well.
     """
-    dark = physics.dark_current_e_per_s
+    dark = readout.dark_current_e_per_s
     chosen = exposure.integration_s
     if chosen is None:
-        return min(USUAL_INTEGRATION_S, DARK_SHARE * physics.saturation_e / dark) if dark else USUAL_INTEGRATION_S
-    if dark * chosen > physics.saturation_e / 2:
-        expected = f"at most {physics.saturation_e / 2 / dark:.3g} s, which fills half of the well"
+        return min(USUAL_INTEGRATION_S, DARK_SHARE * readout.saturation_e / dark) if dark else USUAL_INTEGRATION_S
+    if dark * chosen > readout.saturation_e / 2:
+        expected = f"at most {readout.saturation_e / 2 / dark:.3g} s, which fills half of the well"
         raise invalid("exposure.integration_s", f"{chosen:g} s, which collects {dark * chosen:.3g} e- of dark charge", expected)
     return chosen
 
 
-def filling_light_e(physics: PixelPhysics, integration_s: float) -> float:
+def filling_light_e(readout: Readout, integration_s: float) -> float:
     """Mean photo-electrons that fill the well or reach the ADC's top code, including soft saturation."""
-    dark_e = physics.dark_current_e_per_s * integration_s
-    grid = np.linspace(0.01, MAX_LIGHT, 400) * physics.saturation_e
-    level = stored_signal_e(grid, integration_s, physics)
-    full = np.flatnonzero(level >= FULL_LEVEL * physics.saturation_e)
+    dark_e = readout.dark_current_e_per_s * integration_s
+    grid = np.linspace(0.01, MAX_LIGHT, 400) * readout.saturation_e
+    level = stored_signal_e(grid, integration_s, readout)
+    full = np.flatnonzero(level >= FULL_LEVEL * readout.saturation_e)
     return float(grid[full[0]] if full.size else grid[-1]) - dark_e
 
 
-def dark_times_s(physics: PixelPhysics, integration_s: float) -> Array:
+def dark_times_s(readout: Readout, integration_s: float) -> Array:
     """Equally spaced integration times, until dark charge fills a fifth of the well, at most an hour."""
-    dark = physics.dark_current_e_per_s
-    longest = min(MAX_DARK_SHARE * physics.saturation_e / dark, MAX_DARK_S) if dark else MAX_DARK_S
+    dark = readout.dark_current_e_per_s
+    longest = min(MAX_DARK_SHARE * readout.saturation_e / dark, MAX_DARK_S) if dark else MAX_DARK_S
     return np.linspace(integration_s, max(longest, 2 * integration_s), DARK_TIMES)
 
 
@@ -241,20 +254,21 @@ def make_experiment(
     for note in unit_slips(pixel):
         warn(note)
     exposure = exposure or Exposure()
-    raw = most_frequent_channel(derive(pixel, load_technology(pixel.technology)).at_gain(exposure.gain_db).as_read)
-    time_s = usual_integration_s(raw, exposure)
-    physics = with_black_level(raw, time_s)
+    physics = most_frequent_channel(derive(pixel, load_technology(pixel.technology)))
+    stated = replace(Readout.of(physics), gain_db=exposure.gain_db)
+    time_s = usual_integration_s(stated, exposure)
+    readout = with_black_level(stated, time_s)
     nm = peak_wavelength_nm(physics) if wavelength_nm is None else wavelength_nm
     efficiency = checked_efficiency(physics, nm)
-    brightest = BEYOND_SATURATION * filling_light_e(physics, time_s) / efficiency
+    brightest = BEYOND_SATURATION * filling_light_e(readout, time_s) / efficiency
     photons = brightest * np.arange(1, exposures + 1) / exposures
     return Experiment(
-        sensor=sample_sensor(physics, shape, stream("datasheet", seed, "sensor")),
+        sensor=sample_sensor(readout, shape, stream("datasheet", seed, "sensor")),
         wavelength_nm=nm,
         integration_s=time_s,
         photons=photons,
         dim_photons=np.geomspace(min(1.0 / efficiency, photons[0] / 2), photons[0], DIM_EXPOSURES, endpoint=False),
-        dark_times_s=dark_times_s(physics, time_s),
+        dark_times_s=dark_times_s(readout, time_s),
         temperatures_k=temperatures_k(pixel),
         asked_black_dn=pixel.black_level_dn,
         stack_frames=stack_frames,

@@ -215,14 +215,14 @@ def several_facts(result: RunResult) -> Iterator[Fact]:
 
 def camera_words(result: RunResult) -> str:
     """Return the pixels of a run, its lens and its light, as the page has them below the answer."""
-    score, camera, physics = result.score, result.camera, result.score.physics
+    score, camera, physics, readout = result.score, result.camera, result.score.physics, result.score.readout
     rows, columns = score.frame.pixels
     width_mm, height_mm = extent(result.irradiance)[1:3]
     filters = f", filters {result.colour['layout']}" if result.colour is not None else ""
     lens = lens_words(camera) or thin_lens_words(camera)
     light = LightLevel.of(result.irradiance, result.settings.display, [score.frame.integration_s])
-    limit = "the full well" if physics.full_well_e <= physics.adc_range_e else "the range of the ADC"
-    well, saturated = float(score.frame.mean_e.max()) / physics.saturation_e, score.frame.saturated_fraction
+    limit = "the full well" if readout.full_well_e <= readout.adc_range_e else "the range of the ADC"
+    well, saturated = float(score.frame.mean_e.max()) / readout.saturation_e, score.frame.saturated_fraction
     pixels = f"{columns} × {rows} pixels of {physics.pitch_um:g} µm ({label_of(physics.technology.name)}{filters})"
     parts = [f"{pixels} on {width_mm:.4g} × {height_mm:.4g} mm", lens, *filter(None, (result.assumption,))]
     brightest = f"the brightest pixel's mean at {100 * well:.0f} % of {limit}, {100 * saturated:.2g} % of the pixels saturated."

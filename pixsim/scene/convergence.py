@@ -27,6 +27,7 @@ from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import Columns, ideal_rate, integrate_pixels
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import frame_variance_dn2, integration_time_s
 from pixsim.sensor.technology import load_technology
 from pixsim.viewer.setting import Effort
@@ -355,8 +356,9 @@ def noise_of(
         rates = [[integrate_pixels(_rate(job, half, physics, part), job.pitch_um, *side) for part in parts] for half in halves]
         even, odd = (np.concatenate([rate.ravel() for rate in half]) / weight for half in rates)
         rate, error_rate = np.maximum((even + odd) / 2, 0.0), (even - odd) / 2
-        time_s, p = integration_time_s(exposure, physics, float(rate.max())), physics.at_exposure(exposure)
-        variance_e2 = frame_variance_dn2(rate * time_s, time_s, p, fixed_pattern=False) / p.dn_per_e**2
+        readout = Readout.of(physics, exposure, bin_side=1)  # the rate is that of single pixels
+        time_s = integration_time_s(exposure, readout, float(rate.max()))
+        variance_e2 = frame_variance_dn2(rate * time_s, time_s, readout, fixed_pattern=False) / readout.dn_per_e**2
         error_e = error_rate * time_s
         worst = max(worst, math.sqrt(float(np.mean(error_e**2 / variance_e2))))
         power = float(np.mean((rate * time_s) ** 2))

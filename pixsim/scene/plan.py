@@ -75,6 +75,7 @@ from pixsim.sensor.photodiode import LINEAR_WITHIN, linear_limit_e
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.quantities import Pitch
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.technology import load_technology
 from pixsim.viewer.display_options import Display, Luminance
 
@@ -412,7 +413,7 @@ def make_render_plan(
         outside=outside,
         plate=plate,
         of_chart=of_chart,
-        in_focus_m=depth_of_field_m(whole, seeing[0].as_read.read_pitch_um) if pixels else None,
+        in_focus_m=depth_of_field_m(whole, seeing[0].read_pitch_um) if pixels else None,
         held=tuple((index, name, table) for (index, name), table in surfaces.held.items()),
     )
     return _without_samples(plan) if exact and not full else plan
@@ -645,7 +646,8 @@ def make_plan(
     """
     camera, pixel = camera or scene.camera(), pixel or Pixel()
     exposure = exposure or Exposure()
-    physics = derive(pixel, load_technology(pixel.technology)).at_exposure(exposure)
+    physics = derive(pixel, load_technology(pixel.technology))
+    readout = Readout.of(physics, exposure)
     options: dict[str, Any] = {"tolerance_e": tolerance_e, "full": full, "exact": display is not None}
     plan = make_render_plan(scene, rendered_camera(camera), pixel, **options)  # the film does not depend on a real lens's blur
     resolution, sampling = decide_oversampling(scene, plan, camera, physics, display, full)
@@ -653,8 +655,8 @@ def make_plan(
         plan = make_render_plan(scene.with_resolution(resolution) if resolution else scene, camera, pixel, **options)
     longest_s = exposure.times * (exposure.integration_s or exposure.max_integration_s) / exposure.frames  # of each exposure
     after = (
-        decide_saturation(physics, longest_s),
-        decide_noise(physics, full),
+        decide_saturation(readout, longest_s),
+        decide_noise(readout, full),
         decide_transforms(full or physics.layout is not None),
     )
     plan = replace(plan, resolution=resolution, decisions=(*plan.decisions, sampling, *after))
@@ -745,31 +747,32 @@ def _aperture(physics: PixelPhysics) -> str:
     return "microlens" if physics.aperture_side_um > physics.photodiode_side_um else "photodiode side"
 
 
-def decide_saturation(physics: PixelPhysics, integration_s: float) -> Decision:
+def decide_saturation(readout: Readout, integration_s: float) -> Decision:
     """Describe how charge is stored, and from which limit on not linearly; the bound, 1e-6 of the well, holds below that limit."""
-    pixel, diode = physics.pixel, physics.diode
+    pixel, diode, full_well_e = readout.physics.pixel, readout.physics.diode, readout.full_well_e
     bent = pixel.conversion == "junction" and diode is not None and not diode.constant
     conversion = "; V(Q) of the junction at every level" if bent else ""
     if pixel.well_limit == "swing" or diode is None:
-        clips = "at the well" if physics.full_well_e <= physics.adc_range_e else "by the ADC"
-        reason = f"linear charge up to a hard clip {clips}, {physics.burst(1).saturation_e:.3g} e-{conversion}"
+        clips = "at the well" if full_well_e <= readout.adc_range_e else "by the ADC"
+        reason = f"linear charge up to a hard clip {clips}, {readout.burst(1).saturation_e:.3g} e-{conversion}"
         return Decision("saturation", True, reason)
-    limit_e = linear_limit_e(diode, physics.full_well_e, integration_s)
-    limit = f"{limit_e:.3g} e- in {integration_s:.3g} s ({limit_e / physics.full_well_e:.0%} of the well)"
+    limit_e = linear_limit_e(diode, full_well_e, integration_s)
+    limit = f"{limit_e:.3g} e- in {integration_s:.3g} s ({limit_e / full_well_e:.0%} of the well)"
     if bent:
         return Decision("saturation", True, f"the diode turns forward above {limit}{conversion}")
     reason = f"linear if the brightest pixel stays below {limit}; else a table of the diode"
-    return Decision("saturation", False, reason, "the table", LINEAR_WITHIN * physics.full_well_e / limit_e)
+    return Decision("saturation", False, reason, "the table", LINEAR_WITHIN * full_well_e / limit_e)
 
 
-def decide_noise(physics: PixelPhysics, full: bool) -> Decision:
+def decide_noise(readout: Readout, full: bool) -> Decision:
     """List the noise sources that are zero."""
-    p, dark = physics, physics.dark_current_e_per_s
-    sizes = {each: each.deviation(p) * (dark if each.grows_with == "dark" else 1.0) for each in SOURCES}
+    dark = readout.dark_current_e_per_s
+    sizes = {each: each.deviation(readout) * (dark if each.grows_with == "dark" else 1.0) for each in SOURCES}
     listed = {each.name: size for each, size in sizes.items() if size or not each.is_rare}
     sources = {each.name: sizes[each] for each in SOURCES if each.grows_with == "light"} | {"dark current": dark}
     sources |= {each.name: sizes[each] for each in SOURCES if each.grows_with == "dark"} | listed
-    sources |= {"hot pixels": p.hot_pixel_fraction} if p.hot_pixel_fraction else {}  # few sensors have numbers for them
+    hot = readout.physics.hot_pixel_fraction
+    sources |= {"hot pixels": hot} if hot else {}  # few sensors have numbers for them
     silent = [name for name, value in sources.items() if not value]
     if not silent or full:
         return Decision("noise stages", True, "shot noise, " + ", ".join(name for name, value in sources.items() if value))

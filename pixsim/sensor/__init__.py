@@ -2,13 +2,14 @@
 
 What a user states: `pixel_options` (with `number`, `quantities`, `stack_options`, `colour_options`, `spread`), `exposure` and
 `correction_options`; these do not import NumPy. In the order of the flow: `technology` (CMOS process), `pixel` (areas, well, QE,
-dark current), `integration` (light to mean electrons), `photodiode` (electrons to the signal level), `readout` (noise, well and
-ADC), `raw` (files of frames).
+dark current), `reading` (gain, ADC, range and noise of a pixel as it is read), `integration` (light to mean electrons),
+`photodiode` (electrons to the signal level), `readout` (noise, well and ADC), `raw` (files of frames).
 May import: base, light, optics.
 """
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from pixsim.sensor.reading import Readout as Readout
     from pixsim.sensor.readout import (
         Frame as Frame,
         Sensor as Sensor,
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
-    "Frame", "Sensor", "capture", "capture_from_rates", "dark_spread_e", "frame_mean_dn", "frame_variance_dn2",
+    "Frame", "Readout", "Sensor", "capture", "capture_from_rates", "dark_spread_e", "frame_mean_dn", "frame_variance_dn2",
     "integration_time_s", "least_black_level_dn", "make_frame", "make_sensor", "quantise", "read_out", "sample_sensor",
     "shot_noise",
 ]  # fmt: skip

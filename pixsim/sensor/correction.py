@@ -18,7 +18,7 @@ from pixsim.base.errors import invalid
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.noise import variance_e2
-from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame, Sensor, read_out, sample_sensor
 
 DEFECT_SIGMAS = 6.0  # of a normal distribution: 2e-9 of sound pixels
@@ -54,8 +54,8 @@ def correct(
     """
     # Each has a stream, so that one kind of correction does not change the noise of another.
     rows_rng, above_picture, dark_rng, above_dark, flat_rng, above_flat = rng.spawn(6)
-    physics, time_s = sensor.physics.at_gain(frame.gain_db).burst(frame.exposures), frame.integration_s
-    sensor = replace(sensor, physics=physics)
+    readout, time_s = replace(sensor.readout, gain_db=frame.gain_db, exposures=frame.exposures), frame.integration_s
+    sensor = replace(sensor, readout=readout)
     rows = _dark_rows(sensor, correction.column_clamp, rows_rng)
 
     def electrons(dn: NDArray[np.int32], rng: np.random.Generator) -> Array:
@@ -78,11 +78,11 @@ def correct(
     dark = mean_of(correction.dark_frames, 0.0, dark_rng, above_dark) if correction.dark_frames else None
     if dark is not None:
         picture -= dark
-        defects |= outliers(dark, rounding_e(physics, correction.dark_frames))
+        defects |= outliers(dark, rounding_e(readout, correction.dark_frames))
     if correction.flat_frames:
         even: Array | float = 1.0 if collection is None else collection
         light: Array | float = even if balance is None else even * balance
-        light_e = flat_light_e(physics, correction, time_s) * (light / np.max(light))  # the brightest pixel has the stated level
+        light_e = flat_light_e(readout, correction, time_s) * (light / np.max(light))  # the brightest pixel has the stated level
         flat = mean_of(correction.flat_frames, light_e, flat_rng, above_flat)
         if dark is not None:
             flat -= dark
@@ -92,7 +92,7 @@ def correct(
         response = flat / max(float(flat.mean() / np.mean(even)), np.finfo(float).tiny)  # 1 is the mean response on axis
         unresponsive = response < LEAST_RESPONSE * even
         picture /= np.where(unresponsive, even, response)
-        least_spread, channels = rounding_e(physics, correction.flat_frames), frame.layout
+        least_spread, channels = rounding_e(readout, correction.flat_frames), frame.layout
         if channels is None:
             defects |= unresponsive | outliers(level, least_spread)
         else:
@@ -121,28 +121,28 @@ def _dark_rows(sensor: Sensor, count: int, rng: np.random.Generator) -> Sensor |
     """Return the dark rows of a sensor, with its columns' offsets; None without any."""
     if not count:
         return None
-    rows = sample_sensor(sensor.physics, (count, sensor.shape[1]), rng)
+    rows = sample_sensor(sensor.readout, (count, sensor.shape[1]), rng)
     return replace(rows, column_offset_e=sensor.column_offset_e)
 
 
 @checks_arguments
-def flat_light_e(physics: PixelPhysics, correction: Correction, integration_s: NotNegative) -> float:
+def flat_light_e(readout: Readout, correction: Correction, integration_s: NotNegative) -> float:
     """Return the photo-electrons of the flat frames: `flat_level` of saturation, less the dark charge.
 
     Raises PixsimError if the dark charge leaves no light.
     """
-    dark_e = physics.dark_current_e_per_s * integration_s
-    light_e = correction.flat_level * physics.saturation_e - dark_e
+    dark_e = readout.dark_current_e_per_s * integration_s
+    light_e = correction.flat_level * readout.saturation_e - dark_e
     if light_e <= 0:
         got = f"{correction.flat_level:g}, with {dark_e:.3g} e- of dark charge in {integration_s:.3g} s"
-        least = f"above {dark_e / physics.saturation_e:.3g}, where the flat frames have light"
+        least = f"above {dark_e / readout.saturation_e:.3g}, where the flat frames have light"
         raise invalid("correction.flat_level", got, least, "Raise it, or shorten exposure.max_integration_s.")
     return light_e
 
 
-def rounding_e(physics: PixelPhysics, frames: int) -> float:
+def rounding_e(readout: Readout, frames: int) -> float:
     """Return the standard deviation, in electrons, that rounding alone leaves in a mean of frames."""
-    return float(np.sqrt(physics.rounding_variance_dn2 / frames) / physics.dn_per_e)
+    return float(np.sqrt(readout.rounding_variance_dn2 / frames) / readout.dn_per_e)
 
 
 def outliers(values: Array, least_spread: float) -> NDArray[np.bool_]:
@@ -191,7 +191,7 @@ class Residual:
 
 @checks_arguments
 def residual_variance_e2(
-    signal_e: NotNegativeArray | NotNegative, integration_s: NotNegative, physics: PixelPhysics, correction: Correction
+    signal_e: NotNegativeArray | NotNegative, integration_s: NotNegative, readout: Readout, correction: Correction
 ) -> Residual:
     """Return the closed form of the variance that a correction leaves in even light, without defects, in the shape of the signal.
 
@@ -209,13 +209,13 @@ def residual_variance_e2(
 
     >>> from pixsim.sensor.pixel import derive
     >>> from pixsim import Pixel
-    >>> pixel = derive(Pixel(prnu=0.01))
+    >>> pixel = Readout.of(derive(Pixel(prnu=0.01)))
     >>> float(residual_variance_e2(2e4, 0.01, pixel, Correction(flat_frames=16)).gain)
     0.0
     >>> round(residual_variance_e2(2e4, 0.01, pixel, Correction()).gain, 6)  # (0.01 · 20000)²
     40000.0
     """
-    p, dark_e = physics, physics.dark_current_e_per_s * integration_s
+    p, dark_e = readout, readout.dark_current_e_per_s * integration_s
     dark_variance = float(variance_e2(p, is_temporal=True)) + dark_e + p.rounding_variance_dn2 / p.dn_per_e**2
     rows = 1 / correction.column_clamp if correction.column_clamp else 0.0
     fixed = partial(variance_e2, p, dark_e=dark_e, is_temporal=False)

@@ -36,7 +36,7 @@ def light_notes(physics: PixelPhysics, camera: Camera, irradiance: SpectralImage
             f"pixel.colour.sensitivities: each channel of {sensitivities} was scaled to its own peak; their ratio is unknown, and "
             "with it the noise before white balance. Balanced colours do not depend on it"
         )
-    if note := focus_note(physics.as_read.read_pitch_um, camera, irradiance):
+    if note := focus_note(physics.read_pitch_um, camera, irradiance):
         notes.append(note)
     for name, curve in tables_of(physics).items():
         share = share_beyond(curve, irradiance, physics)

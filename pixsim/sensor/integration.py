@@ -758,7 +758,7 @@ def collecting_area_um2(irradiance: SpectralImage, camera: Camera, physics: Pixe
 
 def centred_pixels(size_um: Iterable[float], physics: PixelPhysics) -> tuple[int, int]:
     """Return the rows and columns of the centred array, whose collection all registrations take: they are a pixel away at most."""
-    rows, columns = (count * physics.as_read.bin_side for count in pixels_on(size_um, physics.as_read.read_pitch_um))
+    rows, columns = (count * physics.pixel.bin_side for count in pixels_on(size_um, physics.read_pitch_um))
     return rows, columns
 
 
@@ -771,14 +771,14 @@ def array_on(
 
     size_um : `array_size_um`; None means the whole picture
     """
-    read, registration = physics.as_read, physics.registration
-    counts = pixels_on(size_um or picture_um, read.read_pitch_um, registration)
-    rows, columns = (count * read.bin_side for count in counts)
+    read_pitch_um, registration = physics.read_pitch_um, physics.registration
+    counts = pixels_on(size_um or picture_um, read_pitch_um, registration)
+    rows, columns = (count * physics.pixel.bin_side for count in counts)
     if registration == CENTRED:
         first_um = None
     else:
         lines = zip(picture_um, counts, registration, strict=True)
-        top_um, left_um = (first_edge_um(um, count, read.read_pitch_um, own) for um, count, own in lines)
+        top_um, left_um = (first_edge_um(um, count, read_pitch_um, own) for um, count, own in lines)
         first_um = top_um, left_um
     return (rows, columns), (rows * physics.pitch_um, columns * physics.pitch_um), first_um
 
@@ -838,7 +838,7 @@ class ChannelLight:
 
     def moves(self, moving: Moving, physics: PixelPhysics) -> Moves | None:
         """Return how the light moves over the pixels; None if it stands still."""
-        return Moves(self.spectrum, moving, physics.as_read.bin_side) if moving.is_on else None
+        return Moves(self.spectrum, moving, physics.pixel.bin_side) if moving.is_on else None
 
 
 def lights_of(irradiance: SpectralImage, camera: Camera, physics: PixelPhysics) -> tuple[ChannelLight, ...]:
@@ -895,7 +895,7 @@ def array_signal(
     if collections:
         signal *= (physics.pitch_um / side_um) ** 2
         signal = shared(signal, [one.shares for one in collections], layout)
-    return read_as_one(signal, physics.as_read.bin_side), collections
+    return read_as_one(signal, physics.pixel.bin_side), collections
 
 
 def moved_signals(

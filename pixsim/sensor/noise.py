@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING, Literal
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
-from pixsim.sensor.technology import number_of
 
 if TYPE_CHECKING:
-    from pixsim.sensor.pixel import PixelPhysics
+    from pixsim.sensor.reading import Readout
 
 Along = Literal["pixel", "row", "column"]
 
@@ -27,23 +26,23 @@ class NoiseSource:
     """A source of noise beside shot noise.
 
     name : as plans list it
-    deviation : its standard deviation for a pixel at its gain, in electrons, or relative to what it grows with
+    deviation : its standard deviation for a pixel as it is read, in electrons, or relative to what it grows with
     is_temporal : whether it is another one in each frame; else it is a fixed pattern
     along : who shares a value: no two pixels; the pixels of a row, of temporal noise; or those of a column, of a fixed pattern
     grows_with : 'light' or 'dark' charge; empty: with neither
     is_rare : whether few sensors have it, so that lists leave it out where it is 0
-    undrawn : of a pattern that grows, the pixel without the numbers from which `sample_sensor` draws its map
+    undrawn : of a pattern that grows, the reading of a pixel without the numbers from which `sample_sensor` draws its map
 
     Raises PixsimError for a source that would stand in lists and closed forms, but in no frame.
     """
 
     name: str
-    deviation: Callable[[PixelPhysics], float]
+    deviation: Callable[[Readout], float]
     is_temporal: bool = False
     along: Along = "pixel"
     grows_with: Literal["", "light", "dark"] = ""
     is_rare: bool = False
-    undrawn: Callable[[PixelPhysics], PixelPhysics] | None = field(default=None, compare=False)
+    undrawn: Callable[[Readout], Readout] | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         kind = "temporal noise" if self.is_temporal else "a fixed pattern"
@@ -59,59 +58,61 @@ class NoiseSource:
             allowed = "temporal noise that does not grow, or a fixed pattern of single pixels"
             raise invalid(where, got, allowed, "docs/first_change.md lists what such a noise changes beside its line.")
         if self.undrawn is None:
-            hint = "State in undrawn the PixelPhysics without the numbers that sample_sensor (pixsim/sensor/readout.py) draws from."
+            hint = "State in undrawn the Readout without the numbers that sample_sensor (pixsim/sensor/readout.py) draws from."
             raise invalid(where, f"{got}, without a map", "one with a map", hint)
 
-    def of_frame(self, physics: PixelPhysics) -> float:
+    def of_frame(self, readout: Readout) -> float:
         """Return the deviation in a frame, which may be the sum of several exposures.
 
         What is another value in each adds up by squares, what is the same in each by itself; what grows with the charge of all
         exposures together does so already.
         """
-        own, count = self.deviation(physics), physics.exposures
+        own, count = self.deviation(readout), readout.exposures
         if count == 1 or self.grows_with:
             return own
         return own * (math.sqrt(count) if self.is_temporal else count)
 
 
 SOURCES = (
-    NoiseSource("reset noise", lambda p: p.reset_noise_e, is_temporal=True),
-    NoiseSource("read noise", lambda p: p.read_noise_at_gain_e, is_temporal=True),
+    NoiseSource("reset noise", lambda r: r.physics.reset_noise_e, is_temporal=True),
+    NoiseSource("read noise", lambda r: r.read_noise_at_gain_e, is_temporal=True),
+    NoiseSource("row noise", lambda r: r.physics.number("row_noise_e"), is_temporal=True, along="row", is_rare=True),
+    NoiseSource("PRNU", lambda r: r.prnu, grows_with="light", undrawn=lambda r: r.with_physics(prnu=0.0)),
     NoiseSource(
-        "row noise", lambda p: number_of(p.pixel, p.technology, "row_noise_e"), is_temporal=True, along="row", is_rare=True
+        "DSNU",
+        lambda r: r.dark_spread.deviation,
+        grows_with="dark",
+        undrawn=lambda r: r.with_physics(dsnu=0.0, hot_pixel_fraction=0.0),
     ),
-    NoiseSource("PRNU", lambda p: p.prnu, grows_with="light", undrawn=lambda p: replace(p, prnu=0.0)),
-    NoiseSource(
-        "DSNU", lambda p: p.dark_spread.deviation, grows_with="dark", undrawn=lambda p: replace(p, dsnu=0.0, hot_pixel_fraction=0.0)
-    ),
-    NoiseSource("offset FPN", lambda p: p.offset_fpn_e),
-    NoiseSource("column FPN", lambda p: p.column_fpn_e, along="column"),
+    NoiseSource("offset FPN", lambda r: r.physics.offset_fpn_e),
+    NoiseSource("column FPN", lambda r: r.physics.column_fpn_e, along="column"),
 )
 
 
-def chosen(physics: PixelPhysics, is_temporal: bool | None, along: Along | None) -> list[NoiseSource]:
-    """Return the sources of a pixel that are temporal or fixed, and shared in that way; None for both, and for any way."""
-    own = [each for each in SOURCES if each.name not in physics.silent]
+def chosen(readout: Readout, is_temporal: bool | None, along: Along | None) -> list[NoiseSource]:
+    """Return the sources of a readout that are temporal or fixed, and shared in that way; None for both, and for any way."""
+    own = [each for each in SOURCES if each.name not in readout.silent]
     own = [each for each in own if is_temporal is None or each.is_temporal == is_temporal]
     return [each for each in own if along is None or each.along == along]
 
 
-def constant_e(physics: PixelPhysics, *, is_temporal: bool | None = None, along: Along | None = None) -> float:
+def constant_e(readout: Readout, *, is_temporal: bool | None = None, along: Along | None = None) -> float:
     """Return the standard deviation of all sources together that grow neither with light nor with dark charge, in electrons.
 
     is_temporal, along : of which sources; None means all
 
     >>> from pixsim.sensor.pixel import derive
     >>> from pixsim.sensor.pixel_options import Pixel
+    >>> from pixsim.sensor.reading import Readout
     >>> pixel = derive(Pixel(technology="4t-bsi", pitch_um=1.2, temporal_dark_noise_e=2.0))
-    >>> constant_e(pixel, is_temporal=True)
+    >>> constant_e(Readout.of(pixel), is_temporal=True)
     2.0
     """
-    return math.hypot(*(each.of_frame(physics) for each in chosen(physics, is_temporal, along) if not each.grows_with))
+    return math.hypot(*(each.of_frame(readout) for each in chosen(readout, is_temporal, along) if not each.grows_with))
 
 
 def variance_e2(
-    physics: PixelPhysics,
+    readout: Readout,
     start: Array | float = 0.0,
     *,
     light_e: Array | float = 0.0,
@@ -126,22 +127,22 @@ def variance_e2(
     is_temporal, along : of which sources; None means all
     """
     charge = {"": 1.0, "light": light_e, "dark": dark_e}
-    for each in chosen(physics, is_temporal, along):
-        start = start + (each.of_frame(physics) * charge[each.grows_with]) ** 2
+    for each in chosen(readout, is_temporal, along):
+        start = start + (each.of_frame(readout) * charge[each.grows_with]) ** 2
     return start
 
 
-def variances_e2(physics: PixelPhysics, *, light_e: Array | float = 0.0, dark_e: float = 0.0) -> dict[str, Array | float]:
+def variances_e2(readout: Readout, *, light_e: Array | float = 0.0, dark_e: float = 0.0) -> dict[str, Array | float]:
     """Return the terms of `variance_e2` by the names of their sources."""
-    others = {each: tuple(other.name for other in SOURCES if other is not each) for each in chosen(physics, None, None)}
-    alone = {each.name: replace(physics, silent=names) for each, names in others.items()}
+    others = {each: tuple(other.name for other in SOURCES if other is not each) for each in chosen(readout, None, None)}
+    alone = {each.name: replace(readout, silent=names) for each, names in others.items()}
     return {name: variance_e2(only, light_e=light_e, dark_e=dark_e) for name, only in alone.items()}
 
 
-def without_source(physics: PixelPhysics, name: str) -> PixelPhysics:
-    """Return a pixel without one of its `SOURCES`, by its name; all others are drawn as before, but for their random numbers."""
+def without_source(readout: Readout, name: str) -> Readout:
+    """Return a readout without one of the `SOURCES`, by its name; all others are drawn as before, but for their random numbers."""
     (source,) = (each for each in SOURCES if each.name == name)
-    silent = replace(physics, silent=(*physics.silent, name))
+    silent = replace(readout, silent=(*readout.silent, name))
     return silent if source.undrawn is None else source.undrawn(silent)
 
 

@@ -36,6 +36,7 @@ from pixsim.base.errors import invalid
 from pixsim.sensor.mismatch import E_PER_FC
 from pixsim.sensor.pixel import Diode, PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.technology import load_technology
 
 # The public names; everything else is internal.
@@ -279,7 +280,7 @@ def level_table(diode: Diode, full_well_e: float, integration_s: float | None, b
     return LevelTable(*refined(level, np.concatenate([knee, beyond]), TABLE_WITHIN * full_well_e), first_e)
 
 
-def saturation_level_e(integration_s: float, physics: PixelPhysics) -> float:
+def saturation_level_e(integration_s: float, readout: Readout) -> float:
     """Return the generated charge (e-) of a frame at which saturation begins: the full well of a hard clip, or `linear_limit_e`.
 
     Of a burst it is that of all exposures together, if they have the same light.
@@ -287,20 +288,21 @@ def saturation_level_e(integration_s: float, physics: PixelPhysics) -> float:
     At that limit a soft saturation has lost 1e-6 of the well, at 0.7 to 0.95 of the full well in the packaged processes (1 s
     to 0.1 ms). It is infinite without a diode current.
     """
-    if physics.diode is None or physics.pixel.well_limit == "swing":
-        return physics.exposures * physics.full_well_e
-    return physics.exposures * linear_limit_e(physics.diode, physics.full_well_e, integration_s / physics.exposures)
+    diode = readout.physics.diode
+    if diode is None or readout.physics.pixel.well_limit == "swing":
+        return readout.exposures * readout.full_well_e
+    return readout.exposures * linear_limit_e(diode, readout.full_well_e, integration_s / readout.exposures)
 
 
-def full_pixels(generated_e: Array, stored_e: Array, physics: PixelPhysics) -> NDArray[np.bool_]:
+def full_pixels(generated_e: Array, stored_e: Array, readout: Readout) -> NDArray[np.bool_]:
     """Return which pixels are full in one exposure, (...): those at the full well, or at `SOFT_FULL` of a soft one.
 
     generated_e : charge, of light and dark
     stored_e : its signal level, of `stored_signal_e`
     """
-    if physics.diode is None or physics.pixel.well_limit == "swing":
-        return np.asarray(generated_e >= physics.full_well_e)
-    return np.asarray(stored_e >= SOFT_FULL * physics.full_well_e)
+    if readout.physics.diode is None or readout.physics.pixel.well_limit == "swing":
+        return np.asarray(generated_e >= readout.full_well_e)
+    return np.asarray(stored_e >= SOFT_FULL * readout.full_well_e)
 
 
 def responds_linearly(physics: PixelPhysics) -> bool:
@@ -308,17 +310,18 @@ def responds_linearly(physics: PixelPhysics) -> bool:
     return physics.pixel.conversion != "junction" or physics.diode is None or physics.diode.constant
 
 
-def stored_signal_e(generated_e: Array, integration_s: float, physics: PixelPhysics) -> Array:
+def stored_signal_e(generated_e: Array, integration_s: float, readout: Readout) -> Array:
     """Return the signal level in electrons of each pixel's generated charge (light and dark).
 
     It follows the pixel's well limit and conversion. With a linear conversion, a picture whose brightest pixel stays below
     `linear_limit_e` is returned unchanged. Of one exposure.
     """
-    diode, pixel = physics.diode, physics.pixel
-    bent = not responds_linearly(physics)
+    diode, pixel = readout.physics.diode, readout.physics.pixel
+    full_well_e = readout.full_well_e
+    bent = not responds_linearly(readout.physics)
     swing = pixel.well_limit == "swing"
     if diode is None or (swing and not bent):
-        return np.minimum(generated_e, physics.full_well_e)
-    if not bent and generated_e.max(initial=0.0) <= linear_limit_e(diode, physics.full_well_e, integration_s):
+        return np.minimum(generated_e, full_well_e)
+    if not bent and generated_e.max(initial=0.0) <= linear_limit_e(diode, full_well_e, integration_s):
         return generated_e
-    return level_table(diode, physics.full_well_e, None if swing else integration_s, bent)(generated_e)
+    return level_table(diode, full_well_e, None if swing else integration_s, bent)(generated_e)

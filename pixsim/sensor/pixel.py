@@ -10,12 +10,12 @@ import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pixsim.base.arguments import Count, NotNegative, Positive, Whole, check_broadcast, checks_arguments, checks_fields
+from pixsim.base.arguments import NotNegative, Positive, Whole, check_broadcast, checks_arguments, checks_fields
 from pixsim.base.arrays import Array, PositiveArray, Positives
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.records import UnitInterval, content_hash
@@ -24,23 +24,13 @@ from pixsim.light.quantities import MIN_FRACTION
 from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, PLANCK_J_S
 from pixsim.optics.stack import LOWEST_LENS, Stack
 from pixsim.sensor.colour import Layout, channel_efficiency
-from pixsim.sensor.colour_options import BIN, channels_of, efficiencies_of
+from pixsim.sensor.colour_options import channels_of, efficiencies_of
 from pixsim.sensor.diffusion import ABSORPTION_RANGE_NM, SILICON_K, absorption_per_um
-from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.mismatch import (
-    E_PER_FC,
-    ELECTRON_C,
-    DarkSpread,
-    dark_current_of_geometry_e_per_s,
-    follower_offset_e,
-    prnu_of_area,
-)
-from pixsim.sensor.noise import constant_e, variance_e2
+from pixsim.sensor.mismatch import E_PER_FC, ELECTRON_C, dark_current_of_geometry_e_per_s, follower_offset_e, prnu_of_area
 from pixsim.sensor.pixel_options import ABSOLUTE_ZERO_C, BORDER_PIXELS, DATA_SHEET, NO_TECHNOLOGY, STANDS_FOR, Pixel, PixelOptions
-from pixsim.sensor.quantities import MAX_CODE_BITS, WELL_RANGE_E, AbsorbedWavelength, AbsorptionDepth, GainDb, HotMedian, HotSpread
+from pixsim.sensor.quantities import WELL_RANGE_E, AbsorbedWavelength, AbsorptionDepth, HotMedian, HotSpread
 from pixsim.sensor.saturation import full_well_for_e
 from pixsim.sensor.stack_options import StackOptions, stack_excluded_by
-from pixsim.sensor.stages import acting_on
 from pixsim.sensor.technology import Junction, Technology, load_technology, number_of, with_fill_factor_law
 from pixsim.sensor.unit_slips import slip_hint
 
@@ -442,34 +432,28 @@ class Charge:
 @checks_fields
 @dataclass(frozen=True)
 class PixelPhysics:
-    """Physical properties of a pixel. Currents and charges are per pixel; noise is a standard deviation.
+    """Physical properties of a pixel, whatever reads it. Currents and charges are per pixel; noise is a standard deviation.
+
+    How it is read is a record of its own, `pixsim.sensor.reading.Readout`.
 
     pixel : the parameters that it is derived from
     technology : with the pixel's fill-factor law
     fill_factor : photodiode area over pixel area
     capacitance_ff : mean over the swing; None for a pinned photodiode
-    full_well_e : charge that the pixel holds; at the ADC's top code at 0 dB if gain_e_per_dn and adc_full_scale_e are None
+    full_well_e : charge that the pixel holds
     dark_current_e_per_s : at the pixel's temperature, mean of all pixels
     reset_noise_e : √(n kTC)/q
-    read_noise_e : temporal, before the amplifier, without the reset noise
     prnu : of the gain, relative to its mean
     dsnu : of the dark current of pixels that are not hot, relative to its mean
     offset_fpn_e : offsets of pixels
     column_fpn_e : offsets of columns
     diode : the photodiode; None if it is pinned
-    gain_e_per_dn : electrons per code at 0 dB; None: the codes above the black level span `adc_full_scale_e`
-    adc_full_scale_e : signal at the ADC's top code at 0 dB; None: the full well
-    read_noise_after_gain_e : temporal, after the amplifier, in electrons at 0 dB
+    growth : area of the photodiode over that of the measured pixel (`growth_from_data_sheet`)
     hot_pixel_fraction, hot_pixel_median, hot_pixel_spread : of the pixels that are hot, median of their dark current over the
         mean of the others, and standard deviation of its logarithm
-    gain_db : amplification with which the pixel is read; `at_gain` sets it
-    exposures : that are summed to a frame; `burst` sets it. Numbers of the pixel are those of one exposure, those of charges and
-        codes, such as `saturation_e`, of a frame
     channel : letter of the channel whose quantum efficiency this is; empty: of the whole pixel, of a colour sensor the mean
-    bin_side : pixels along a side of those that are read as one
     stack : between the surface and the photodiode; None: a pixel collects the light on its photodiode, from every direction alike
     charge : how charge spreads in that stack's silicon (`depletion_um`, `diffusion_length_um`, `crosstalk`), and its temperature
-    silent : names of noise sources that are switched off
     """
 
     pixel: Pixel
@@ -479,25 +463,18 @@ class PixelPhysics:
     full_well_e: Positive
     dark_current_e_per_s: NotNegative
     reset_noise_e: NotNegative
-    read_noise_e: NotNegative
     prnu: NotNegative
     dsnu: NotNegative
     offset_fpn_e: NotNegative
     column_fpn_e: NotNegative
     diode: Diode | None = None
-    gain_e_per_dn: Positive | None = None
-    adc_full_scale_e: Positive | None = None
-    read_noise_after_gain_e: NotNegative = 0.0
+    growth: Positive = 1.0
     hot_pixel_fraction: UnitInterval = 0.0
     hot_pixel_median: HotMedian = 1.0
     hot_pixel_spread: HotSpread = 0.0
-    gain_db: GainDb = 0.0
-    exposures: Count = 1
     stack: Stack | None = None
     charge: Charge | None = None
     channel: str = ""
-    bin_side: int = 1
-    silent: tuple[str, ...] = ()
 
     @property
     def layout(self) -> Layout | None:
@@ -519,7 +496,7 @@ class PixelPhysics:
     @property
     def read_pitch_um(self) -> float:
         """Distance of what is read: of the pixels, or of the sums of a binned sensor."""
-        return self.pitch_um * self.bin_side
+        return self.pitch_um * self.pixel.bin_side
 
     @property
     def registration(self) -> Registration:
@@ -551,94 +528,6 @@ class PixelPhysics:
         x, y = spread_registration(repeat)
         registration = (x + first[0]) % 1.0, (y + first[1]) % 1.0
         return replace(self, pixel=self.pixel.model_copy(update={"registration": registration}))
-
-    @property
-    def as_read(self) -> PixelPhysics:
-        """The pixel of a frame: itself, or of a sensor that bins, what has the charge of 2 x 2 pixels and one readout.
-
-        Dark current, full well and the ADC's range add up; gains and dark currents of four pixels vary half as much as those of
-        one. The sum of Poisson counts is one. A full pixel of a sum that is not full is not seen.
-        """
-        if self.pixel.bin_side == self.bin_side:
-            return self
-        count = BIN**2
-        hot: dict[str, Any] = {}
-        if self.hot_pixel_fraction:  # a hot pixel and three others
-            hot["hot_pixel_fraction"] = 1 - (1 - self.hot_pixel_fraction) ** count
-            hot["hot_pixel_median"] = (self.hot_pixel_median + count - 1) / count
-        return replace(
-            self,
-            bin_side=BIN,
-            full_well_e=count * self.full_well_e,
-            dark_current_e_per_s=count * self.dark_current_e_per_s,
-            gain_e_per_dn=None if self.gain_e_per_dn is None else count * self.gain_e_per_dn,
-            adc_full_scale_e=None if self.adc_full_scale_e is None else count * self.adc_full_scale_e,
-            prnu=self.prnu / BIN,
-            dsnu=self.dsnu / BIN,
-            **hot,
-        )
-
-    @checks_arguments
-    def at_gain(self, gain_db: GainDb) -> PixelPhysics:
-        """Return the pixel read with an amplification (`Exposure.gain_db`), which moves the ADC's range and the noise behind it.
-
-        >>> pixel = derive(Pixel(technology="4t-bsi", pitch_um=1.2, read_noise_e=1.5, read_noise_after_gain_e=4))
-        >>> amplified = pixel.at_gain(20 * math.log10(8))
-        >>> round(pixel.adc_range_e / amplified.adc_range_e, 6), round(amplified.noise_floor_e, 3)  # √(1.5² + (4/8)²)
-        (8.0, 1.581)
-        """
-        return self if gain_db == self.gain_db else replace(self, gain_db=gain_db)
-
-    @checks_arguments
-    def burst(self, exposures: Count) -> PixelPhysics:
-        """Return the pixel of frames that are the sum of so many exposures.
-
-        Raises PixsimError if the codes of the sum have more than 31 bits.
-
-        >>> pixel = derive(Pixel(technology="4t-bsi", pitch_um=1.2, read_noise_e=1.5))
-        >>> pixel.burst(4).noise_floor_e, pixel.burst(4).saturation_e / pixel.saturation_e
-        (3.0, 4.0)
-        """
-        if exposures == self.exposures:
-            return self
-        found = replace(self, exposures=exposures)
-        if found.code_bits > MAX_CODE_BITS:
-            got = f"{exposures} exposures of {self.pixel.bits} bits, whose sum has {found.code_bits}"
-            raise invalid("exposure.frames", got, f"sums of at most {MAX_CODE_BITS} bits", "Take fewer exposures or bits.")
-        return found
-
-    @checks_arguments
-    def at_exposure(self, exposure: Exposure) -> PixelPhysics:
-        """Return the pixel as an exposure reads it: at its gain, in as many exposures. Raises PixsimError as `burst`."""
-        read = self.at_gain(exposure.gain_db)
-        for stage in acting_on("frame"):
-            read = stage.act(read, exposure)
-        return read
-
-    @property
-    def black_level_dn(self) -> float:
-        """DN of a frame without light and dark charge."""
-        return self.exposures * self.pixel.black_level_dn
-
-    @property
-    def top_code_dn(self) -> int:
-        """Highest DN of a frame."""
-        return self.exposures * (2**self.pixel.bits - 1)
-
-    @property
-    def code_bits(self) -> int:
-        """Bits that hold the DN of a frame: those of the ADC, or of a sum."""
-        return self.top_code_dn.bit_length()
-
-    @property
-    def rounding_variance_dn2(self) -> float:
-        """Variance of a frame by the rounding of each exposure, LSB²/12."""
-        return self.exposures / 12
-
-    @property
-    def amplification(self) -> float:
-        """10^(gain_db/20), a ratio of voltages."""
-        return float(10 ** (self.gain_db / 20))
 
     @property
     def pitch_um(self) -> float:
@@ -703,53 +592,14 @@ class PixelPhysics:
         return stated and (self.technology.name == NO_TECHNOLOGY or own.data_sheet_pitch_um is not None)
 
     @property
-    def dn_per_e(self) -> float:
-        """Gain: the given one, or the codes above the black level over the full scale, times the amplification."""
-        own = self.pixel.codes_dn / self.full_scale_e if self.gain_e_per_dn is None else 1 / self.gain_e_per_dn
-        return own * self.amplification
-
-    @property
-    def full_scale_e(self) -> float:
-        """Signal at the ADC's top code at 0 dB: the full well, if neither gain nor full scale is given."""
-        if self.gain_e_per_dn is not None:
-            return self.pixel.codes_dn * self.gain_e_per_dn
-        return self.full_well_e if self.adc_full_scale_e is None else self.adc_full_scale_e
-
-    @property
-    def adc_range_e(self) -> float:
-        """Signal at the ADC's top code: the full scale over the amplification."""
-        return self.full_scale_e / self.amplification
-
-    @property
-    def saturation_e(self) -> float:
-        """Signal that saturates a frame: the lower of the full well and of the ADC's range, in each exposure."""
-        return self.exposures * min(self.full_well_e, self.adc_range_e)
-
-    @property
     def dark_doubling_k(self) -> float:
         """Temperature rise that doubles the dark current: of the data sheet, or of the technology."""
         of_sheet = self.pixel.dark_current and self.pixel.dark_current.doubling_k
         return of_sheet or self.technology.dark_doubling_k
 
-    @property
-    def read_noise_at_gain_e(self) -> float:
-        """Temporal read noise, √(before² + (after/amplification)²), without the reset noise."""
-        return math.hypot(self.read_noise_e, self.read_noise_after_gain_e / self.amplification)
-
-    @property
-    def noise_floor_e(self) -> float:
-        """Temporal dark noise without dark charge: reset, read and row noise."""
-        return constant_e(self, is_temporal=True)
-
-    @property
-    def offset_e(self) -> float:
-        """Spread of all offsets of pixels and columns."""
-        return constant_e(self, is_temporal=False)
-
-    @property
-    def dark_spread(self) -> DarkSpread:
-        """Dark currents of the pixels relative to their mean: ordinary and hot ones."""
-        return DarkSpread(self.dsnu, self.hot_pixel_fraction, self.hot_pixel_median, self.hot_pixel_spread)
+    def number(self, name: str) -> float:
+        """Return a number that pixels and technologies may state, by its name: the pixel's own, or that of its technology."""
+        return number_of(self.pixel, self.technology, name)
 
     def _uncut_quantum_efficiency(self, wavelength_nm: Array) -> Array:
         colour, layout = self.pixel.colour, self.layout
@@ -792,39 +642,6 @@ class PixelPhysics:
         check_broadcast(wavelength_nm=wavelength_nm.shape, band_width_nm=band_width_nm.shape)
         below = np.clip((self.infrared_cut_nm - wavelength_nm) / band_width_nm + 0.5, 0.0, 1.0)
         return self._uncut_quantum_efficiency(wavelength_nm) * below
-
-    @checks_arguments
-    def dynamic_range_db(self, integration_s: NotNegative) -> float:
-        """Return the dynamic range: 20 log₁₀ of saturation less the dark charge, over the dark noise (Chen et al. 2000, eq. 1).
-
-        Raises PixsimError if the dark charge fills the well.
-
-        >>> paper = derive(Pixel(capacitance="paper"))
-        >>> round(paper.dynamic_range_db(0.03), 1)  # Fig. 2a has 35 to 70 dB
-        61.1
-        """
-        dark_e = self.dark_current_e_per_s * integration_s
-        if dark_e >= self.saturation_e:
-            allowed, hint = f"less than saturation, {self.saturation_e:.4g} e-", "Shorten the integration time or cool the sensor."
-            raise invalid("integration_s of the dynamic range", f"{dark_e:.4g} e- of dark charge", allowed, hint)
-        variance_e2 = self._dark_variance_e2(dark_e)
-        return 20 * math.log10((self.saturation_e - dark_e) / math.sqrt(variance_e2)) if variance_e2 else math.inf
-
-    @checks_arguments
-    def snr_db(self, signal_e: NotNegative, integration_s: NotNegative) -> float:
-        """Return the SNR of a signal charge (Chen et al. 2000, eq. 2); -inf for a charge of 0.
-
-        Raises PixsimError if the charge is negative.
-        """
-        if signal_e <= 0:
-            if signal_e < 0:
-                raise invalid("signal_e", signal_e, "0 or more electrons")
-            return -math.inf
-        dark_e = self.dark_current_e_per_s * integration_s
-        return 20 * math.log10(signal_e / math.sqrt(self._dark_variance_e2(dark_e) + signal_e))
-
-    def _dark_variance_e2(self, dark_e: float) -> float:
-        return float(variance_e2(self, is_temporal=True, dark_e=dark_e)) + dark_e
 
 
 def incomplete_sheet(pixel: Pixel, technology: Technology) -> PixsimError:
@@ -913,6 +730,16 @@ def prnu_of(pixel: Pixel, technology: Technology, area_um2: float) -> float:
         hint = f"Give at most {prnu_um * MAX_PRNU / prnu:.3g}, or a photodiode of at least {(prnu_um / MAX_PRNU) ** 2:.3g} µm²."
         raise invalid("pixel.prnu_um" if own else f"prnu_um of {technology.name}", got, f"a PRNU of at most {MAX_PRNU:g}", hint)
     return prnu
+
+
+def read_noises_e(pixel: Pixel, technology: Technology) -> tuple[float, float]:
+    """Return the temporal read noise before the amplifier, and that after it in electrons at 0 dB, without the reset noise."""
+    # EMVA's σ_d is all temporal noise in the dark, that of the reset included.
+    stated_e = pixel.read_noise_e if pixel.temporal_dark_noise_e is None else pixel.temporal_dark_noise_e
+    before_e = technology.read_noise_e if stated_e is None else stated_e
+    if pixel.read_noise_e is not None and pixel.read_noise_after_gain_e is None:
+        return before_e, 0.0  # a pixel that states read noise alone has none after the amplifier
+    return before_e, number_of(pixel, technology, "read_noise_after_gain_e")
 
 
 def offset_share(pixel: Pixel, technology: Technology, process_well: Well) -> float:
@@ -1069,13 +896,7 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
             hint = f"No technology was chosen: the default would supply {missing}. Give {missing}, and the pixel needs none. {hint}"
         raise invalid("pixel.pitch_um", f"{pixel.pitch_um:g}", allowed, hint)
     area_um2 = fill_factor * pixel.pitch_um**2
-    gain_e_per_dn = pixel.gain_e_per_dn if pixel.dn_per_e is None else 1 / pixel.dn_per_e
-    # EMVA's σ_d is all temporal noise in the dark, that of the reset included.
     factor = number_of(pixel, technology, "reset_noise_factor")
-    read_noise_e = given(pixel.temporal_dark_noise_e, given(pixel.read_noise_e, technology.read_noise_e))
-    # A pixel that states read noise alone has none after the amplifier.
-    alone = pixel.read_noise_e is not None and pixel.read_noise_after_gain_e is None
-    after_gain_e = 0.0 if alone else number_of(pixel, technology, "read_noise_after_gain_e")
     named = ("read_noise_e", "read_noise_after_gain_e", "reset_noise_factor")
     others_e = [number_of(pixel, technology, name) for name in STANDS_FOR["temporal_dark_noise_e"] if name not in named]
     measured_dark_e_per_s = dark_current_at_e_per_s(pixel, technology.dark_doubling_k)
@@ -1098,6 +919,7 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         """The full well of the measured pixel: as given, or as its saturation capacity needs it."""
         if pixel.saturation_capacity_e is None:
             return pixel.full_well_e
+        gain_e_per_dn = pixel.stated_gain_e_per_dn
         adc_range_e = pixel.adc_full_scale_e if gain_e_per_dn is None else pixel.codes_dn * gain_e_per_dn
         own_um2 = area_um2 / growth
         process_well = well(pixel, technology, own_um2, given(measured_dark_e_per_s, process_dark_e_per_s(own_um2)))
@@ -1106,7 +928,7 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         for _ in range(WELL_ROUNDS):  # reset noise and offsets of a process scale with the well
             reset_ff = (process_well.reset_ff or 0.0) * full_well_e / process_well.full_well_e
             reset_e = reset_noise_e(reset_ff, pixel.temperature_k, factor)
-            noise_e = math.hypot(reset_e, math.hypot(read_noise_e, after_gain_e), *others_e)
+            noise_e = math.hypot(reset_e, math.hypot(*read_noises_e(pixel, technology)), *others_e)
             offset_e = math.hypot(*offsets_e(full_well_e, process_well))
             full_well_e = full_well_for_e(pixel.saturation_capacity_e, adc_range_e, noise_e, prnu, offset_e)
         return full_well_e
@@ -1129,15 +951,12 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         full_well_e=full_well_e,
         dark_current_e_per_s=dark_e_per_s,
         reset_noise_e=reset_noise_e((process_well.reset_ff or 0.0) * scale, pixel.temperature_k, factor),
-        read_noise_e=read_noise_e,
         prnu=prnu_of(pixel, technology, area_um2),
         dsnu=given(pixel.dsnu, technology.dsnu),
         offset_fpn_e=offset_e,
         column_fpn_e=column_e,
         diode=None if process_well.diode is None else process_well.diode.scaled(scale),
-        gain_e_per_dn=None if gain_e_per_dn is None else growth * gain_e_per_dn,
-        adc_full_scale_e=None if pixel.adc_full_scale_e is None else growth * pixel.adc_full_scale_e,
-        read_noise_after_gain_e=after_gain_e,
+        growth=growth,
         hot_pixel_fraction=hot_fraction,
         hot_pixel_median=hot_median,
         hot_pixel_spread=hot_spread,

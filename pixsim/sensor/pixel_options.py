@@ -298,6 +298,11 @@ class PixelOptions(Record):
         return BIN if self.colour is not None and self.colour.binning else 1
 
     @property
+    def stated_gain_e_per_dn(self) -> float | None:
+        """Electrons per code at 0 dB by `gain_e_per_dn` or `dn_per_e`; None: the codes above the black level span a charge."""
+        return self.gain_e_per_dn if self.dn_per_e is None else 1 / self.dn_per_e
+
+    @property
     def codes_dn(self) -> float:
         """The codes above the black level."""
         return 2**self.bits - 1 - self.black_level_dn

@@ -31,9 +31,10 @@ from pixsim.sensor.motion import Moving, velocity_um_per_s
 from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.noise import constant_e, variance_e2
 from pixsim.sensor.photodiode import full_pixels, responds_linearly, saturation_level_e, stored_signal_e
-from pixsim.sensor.pixel import CENTRED, PixelPhysics, Registration, derive
+from pixsim.sensor.pixel import CENTRED, Registration, derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.quantities import MAX_CODE_BITS, Aspect, FrameBits, GainDb, Pitch, SaturatedFraction
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.stages import gains_of_rows, moving_in
 from pixsim.sensor.technology import load_technology
 from pixsim.sensor.unit_slips import unit_slips
@@ -58,31 +59,31 @@ def lasting(exposure: Exposure, total_s: float) -> Exposure:
 
 
 @checks_arguments
-def integration_time_s(exposure: Exposure, physics: PixelPhysics, brightest_e_per_s: NotNegative) -> float:
+def integration_time_s(exposure: Exposure, readout: Readout, brightest_e_per_s: NotNegative) -> float:
     """Return the manual integration time, or the time that exposes the brightest pixel to the target, up to the maximum.
 
-    It is that of all exposures of a frame together. The target is a share of `PixelPhysics.saturation_e` in the exposure, for the
+    It is that of all exposures of a frame together. The target is a share of `Readout.saturation_e` in the exposure, for the
     mean charge with dark charge.
 
     brightest_e_per_s : mean photo-electrons per second of the brightest pixel
     """
     if exposure.integration_s is not None:
         return exposure.times * exposure.integration_s
-    brightest = brightest_e_per_s + physics.dark_current_e_per_s
-    target_e = exposure.well_target * physics.at_exposure(exposure).saturation_e
+    brightest = brightest_e_per_s + readout.dark_current_e_per_s
+    target_e = exposure.well_target * readout.at(exposure).saturation_e
     longest_s = exposure.times * exposure.max_integration_s
     return longest_s if brightest * longest_s <= target_e else target_e / brightest
 
 
 def metered_motion(
-    still_e_per_s: Array, physics: PixelPhysics, exposure: Exposure, um_per_s: tuple[float, float]
+    still_e_per_s: Array, readout: Readout, exposure: Exposure, um_per_s: tuple[float, float]
 ) -> tuple[Moving, Exposure]:
     """Return how light moves in a frame that is metered on the picture that stands still, and the exposure with its time.
 
     still_e_per_s : signal of that picture, (rows, columns)
     um_per_s : velocity [x, y] of the image on the sensor
     """
-    time_s = integration_time_s(exposure, physics, float(still_e_per_s.max()))
+    time_s = integration_time_s(exposure, readout, float(still_e_per_s.max()))
     return moving_in(um_per_s, time_s, exposure), lasting(exposure, time_s)
 
 
@@ -94,7 +95,7 @@ def metered_motion(
 class Sensor:
     """One sensor with its fixed pattern, the same in every frame. A map is None if its standard deviation is zero.
 
-    physics : of its pixels
+    readout : how its pixels are read
     shape : (rows, columns)
     gain : (rows, columns) relative to the mean pixel, mean 1
     dark_gain : (rows, columns) dark current relative to the mean pixel, positive, mean 1
@@ -102,7 +103,7 @@ class Sensor:
     column_offset_e : (1, columns)
     """
 
-    physics: PixelPhysics
+    readout: Readout
     shape: tuple[Count, Count]
     gain: Array | None = field(repr=False)
     dark_gain: Array | None = field(repr=False)
@@ -111,13 +112,13 @@ class Sensor:
 
 
 @checks_arguments
-def sample_sensor(physics: PixelPhysics, shape: tuple[Count, Count], rng: np.random.Generator) -> Sensor:
+def sample_sensor(readout: Readout, shape: tuple[Count, Count], rng: np.random.Generator) -> Sensor:
     """Draw the fixed pattern of a sensor of a given `shape` (rows, columns) from `rng`.
 
     PRNU is normal, clipped at zero. DSNU is gamma-distributed, since a normal distribution would have negative currents; hot
     pixels (`pixsim.sensor.mismatch`) have a stream of their own, so that all other maps are those of a sensor without them.
     """
-    p, dark_spread = physics.burst(1), physics.dark_spread
+    p, dark_spread = readout.burst(1), readout.dark_spread
     uneven_dark = p.dark_current_e_per_s > 0 and not dark_spread.is_even
     of_pixels_e, of_columns_e = (constant_e(p, is_temporal=False, along=along) for along in ("pixel", "column"))
     gain, dark_gain, offset_e = (np.empty(shape) if uneven else None for uneven in (p.prnu, uneven_dark, of_pixels_e))
@@ -138,7 +139,7 @@ def sample_sensor(physics: PixelPhysics, shape: tuple[Count, Count], rng: np.ran
     column_offset_e = np.empty((1, shape[1])) if of_columns_e else None
     if column_offset_e is not None:
         _draw_gaussian(of_columns_e, column_offset_e, rng)
-    return made(Sensor, physics, shape, gain, dark_gain, offset_e, column_offset_e)
+    return made(Sensor, readout, shape, gain, dark_gain, offset_e, column_offset_e)
 
 
 def _rows_of(picture: Array) -> Iterator[Array]:
@@ -167,10 +168,10 @@ def make_sensor(pixel: Pixel, camera: Camera, seed: Whole = 0, *, aspect: Aspect
     for note in unit_slips(pixel):
         warn(note)
     aspect = camera.die_mm / camera.height_mm if aspect is None else aspect
-    physics, width_um = derive(pixel, load_technology(pixel.technology)).as_read, camera.die_um[1]
+    physics, width_um = derive(pixel, load_technology(pixel.technology)), camera.die_um[1]
     shape = pixels_on((width_um / aspect, width_um), physics.read_pitch_um, physics.registration)
     check_pixel_count(shape, pixel.pitch_um)
-    return sample_sensor(physics, (shape[0] * physics.planes, shape[1]), np.random.default_rng(seed))
+    return sample_sensor(Readout.of(physics), (shape[0] * physics.planes, shape[1]), np.random.default_rng(seed))
 
 
 # --- noise, in the order of the charge --------------------------------------------------------------------------------
@@ -303,11 +304,11 @@ def _quantise(level_dn: Array, bits: int, out: NDArray[np.int32]) -> None:
 def read_out(mean_e: NotNegativeArray, integration_s: NotNegative, sensor: Sensor, rng: np.random.Generator) -> NDArray[np.int32]:
     """Return one frame, (rows, columns) int32 DN, from the mean photo-electrons of each pixel; temporal noise is from `rng`.
 
-    The gain is that of the sensor's `physics`: `at_gain` sets it, as `capture_from_rates` does for an exposure.
+    The gain is that of the sensor's `readout`, which `capture_from_rates` takes to an exposure (`Readout.at`).
 
     PRNU and dark charge → Poisson → well and conversion (`pixsim.sensor.photodiode`) → reset and read noise (one normal) → row
     noise → fixed offsets → gain → black level → ADC. Closed forms are `frame_mean_dn` and `frame_variance_dn2`. Of a burst
-    (`PixelPhysics.burst`) mean and time are those of all its exposures, and the frame is the sum of their codes.
+    (`Readout.burst`) mean and time are those of all its exposures, and the frame is the sum of their codes.
 
     Raises PixsimError if `mean_e` has not the shape of the sensor.
     """
@@ -323,15 +324,15 @@ def _expose(
 
     A few rows at a time, which keeps the work arrays small; all shot noise of a block is drawn before its read noise.
     """
-    if sensor.physics.exposures > 1:
+    if sensor.readout.exposures > 1:
         return _expose_burst(mean_e, integration_s, sensor, rng, each_e)
     if mean_e.shape != sensor.shape:
         raise invalid("mean_e", f"an array of shape {mean_e.shape}", f"the pixels of the sensor, {sensor.shape}")
-    p, generated, dn = sensor.physics, np.empty(mean_e.shape), np.empty(mean_e.shape, np.int32)
+    p, generated, dn = sensor.readout, np.empty(mean_e.shape), np.empty(mean_e.shape, np.int32)
     mean_dark_e = p.dark_current_e_per_s * integration_s
     of_pixels_e, of_rows_e = (constant_e(p, is_temporal=True, along=along) for along in ("pixel", "row"))
     # Counted before readout: reset noise and negative offsets keep half of the full pixels off the top code.
-    full_e, top_dn = saturation_level_e(integration_s, p), 2**p.pixel.bits - 1
+    full_e, top_dn = saturation_level_e(integration_s, p), p.adc.top_code_dn
     saturated, counts = np.empty(mean_e.shape, bool), list[int]()
 
     def expose(block: slice, rng: np.random.Generator) -> None:
@@ -359,9 +360,9 @@ def _expose(
                 if added_e is not None:
                     level += added_e
             level *= p.dn_per_e
-            if p.pixel.black_level_dn:
-                level += p.pixel.black_level_dn
-            _quantise(level, p.pixel.bits, dn[rows])
+            if p.adc.black_level_dn:
+                level += p.adc.black_level_dn
+            _quantise(level, p.adc.bits, dn[rows])
             at_top = dn[rows] >= top_dn
             np.logical_or(full, at_top, out=saturated[rows])
             counts.append(int(np.count_nonzero(saturating | at_top)))
@@ -381,11 +382,11 @@ def _expose_burst(
     """
     if mean_e.shape != sensor.shape:
         raise invalid("mean_e", f"an array of shape {mean_e.shape}", f"the pixels of the sensor, {sensor.shape}")
-    p, count = sensor.physics.burst(1), sensor.physics.exposures
-    time_s, gain, black_dn, top_dn = integration_s / count, p.dn_per_e, p.pixel.black_level_dn, 2**p.pixel.bits - 1
+    p, count = sensor.readout.burst(1), sensor.readout.exposures
+    time_s, gain, black_dn, top_dn = integration_s / count, p.dn_per_e, p.adc.black_level_dn, p.adc.top_code_dn
     mean_dark_e, full_e = p.dark_current_e_per_s * time_s, saturation_level_e(time_s, p)
     of_pixels_e, of_rows_e = (constant_e(p, is_temporal=True, along=along) for along in ("pixel", "row"))
-    is_linear, last_roundings_e = responds_linearly(p), math.sqrt((count - 1) / 12) / gain
+    is_linear, last_roundings_e = responds_linearly(p.physics), math.sqrt((count - 1) / 12) / gain
     dn, saturated, counts = np.empty(mean_e.shape, np.int32), np.zeros(mean_e.shape, bool), list[int]()
 
     def expose(block: slice, rng: np.random.Generator) -> None:
@@ -445,26 +446,26 @@ def by_block(draw: Callable[[slice, np.random.Generator], None], shape: tuple[in
 
 
 @checks_arguments
-def frame_mean_dn(mean_e: NotNegativeArray | NotNegative, integration_s: NotNegative, physics: PixelPhysics) -> Array:
+def frame_mean_dn(mean_e: NotNegativeArray | NotNegative, integration_s: NotNegative, readout: Readout) -> Array:
     """Return the expected DN over sensors and frames, in the shape (...) of `mean_e`.
 
     It is valid at least 6σ away from 0, the well and the top code, for a linear response: with `well_limit = "diode"` below
     `linear_limit_e`, and not with `conversion = "junction"`.
     """
-    dark_e = physics.dark_current_e_per_s * integration_s
-    return (np.asarray(mean_e, float) + dark_e) * physics.dn_per_e + physics.black_level_dn
+    dark_e = readout.dark_current_e_per_s * integration_s
+    return (np.asarray(mean_e, float) + dark_e) * readout.dn_per_e + readout.black_level_dn
 
 
 @checks_arguments
 def frame_variance_dn2(
-    mean_e: NotNegativeArray | NotNegative, integration_s: NotNegative, physics: PixelPhysics, fixed_pattern: bool = True
+    mean_e: NotNegativeArray | NotNegative, integration_s: NotNegative, readout: Readout, fixed_pattern: bool = True
 ) -> Array:
     """Return the variance of a pixel's DN over frames and, with `fixed_pattern`, over sensors, in the shape (...) of `mean_e`.
 
     It is the noise of eq. (2) of Chen et al. (2000) with read noise, fixed pattern and the ADC's LSB²/12; valid where
     `frame_mean_dn` is.
     """
-    p, signal_e = physics, np.asarray(mean_e, float)
+    p, signal_e = readout, np.asarray(mean_e, float)
     dark_e = p.dark_current_e_per_s * integration_s
     of_frames_e2 = variance_e2(p, signal_e + dark_e, is_temporal=True)
     if not fixed_pattern:
@@ -474,29 +475,29 @@ def frame_variance_dn2(
 
 
 @checks_arguments
-def dark_spread_e(physics: PixelPhysics, integration_s: NotNegative) -> float:
+def dark_spread_e(readout: Readout, integration_s: NotNegative) -> float:
     """Return the standard deviation in e- of a dark signal over frames and over the pixels that are not hot.
 
     The tail of hot pixels is far above the black level: it says nothing about what a clip at 0 DN cuts off.
     """
-    dark_e = physics.dark_current_e_per_s * integration_s * physics.dark_spread.ordinary_mean
-    of_frames_e2 = variance_e2(physics, dark_e, is_temporal=True)
-    without_hot = replace(physics, hot_pixel_fraction=0.0)
+    dark_e = readout.dark_current_e_per_s * integration_s * readout.dark_spread.ordinary_mean
+    of_frames_e2 = variance_e2(readout, dark_e, is_temporal=True)
+    without_hot = readout.with_physics(hot_pixel_fraction=0.0)
     return math.sqrt(variance_e2(without_hot, of_frames_e2, dark_e=dark_e, is_temporal=False))
 
 
 @checks_arguments
-def least_black_level_dn(physics: PixelPhysics, integration_s: NotNegative) -> int:
+def least_black_level_dn(readout: Readout, integration_s: NotNegative) -> int:
     """Return the lowest black level, a whole code, that keeps `BLACK_SIGMAS` of the dark signal and one LSB above 0 DN.
 
     Without a given gain a range F spans the codes M - b above the black level b, so that b = 6σ(M - b)/F, solved for b. Of a
     burst it is that of each exposure.
     """
-    physics, integration_s = physics.burst(1), integration_s / physics.exposures
-    top, spread = 2**physics.pixel.bits - 1, BLACK_SIGMAS * dark_spread_e(physics, integration_s)
-    if physics.gain_e_per_dn is not None:
-        return math.ceil(spread * physics.amplification / physics.gain_e_per_dn) + 1
-    return math.ceil(spread * top / (physics.adc_range_e + spread)) + 1
+    readout, integration_s = readout.burst(1), integration_s / readout.exposures
+    adc, spread = readout.adc, BLACK_SIGMAS * dark_spread_e(readout, integration_s)
+    if adc.gain_e_per_dn is not None:
+        return math.ceil(spread * readout.amplification / adc.gain_e_per_dn) + 1
+    return math.ceil(spread * adc.top_code_dn / (readout.adc_range_e + spread)) + 1
 
 
 @checks_arguments
@@ -511,20 +512,21 @@ def capture_from_rates(
 
     Raises PixsimError if the shape is not that of the sensor, or if the electrons are too many for the numbers of the rates.
     """
-    p = sensor.physics.at_exposure(exposure)
+    p = sensor.readout.at(exposure)
     if signal_e_per_s.shape != sensor.shape:
         hint = "Make the sensor with the camera and aspect of the irradiance: make_sensor(pixel, camera, aspect=…)."
         raise invalid("sensor", f"{sensor.shape} pixels for a picture of {signal_e_per_s.shape}", "the same shape", hint)
     brightest_e_per_s = float(signal_e_per_s.max())
     time_s = integration_time_s(exposure, p, brightest_e_per_s)
-    if gains := gains_of_rows(time_s, len(signal_e_per_s) // p.planes, exposure, rng):
+    planes = p.physics.planes
+    if gains := gains_of_rows(time_s, len(signal_e_per_s) // planes, exposure, rng):
         each = [
-            one * np.tile(gain, p.planes)[:, None] for gain, one in zip(gains, each or [signal_e_per_s] * len(gains), strict=True)
+            one * np.tile(gain, planes)[:, None] for gain, one in zip(gains, each or [signal_e_per_s] * len(gains), strict=True)
         ]
         signal_e_per_s = np.mean(each, axis=0)
         brightest_e_per_s = float(signal_e_per_s.max())
     mean_e = _mean_e(signal_e_per_s, brightest_e_per_s, time_s, p)
-    exposed = sensor if p is sensor.physics else replace(sensor, physics=p)
+    exposed = sensor if p is sensor.readout else replace(sensor, readout=p)
     dn, saturated, fraction = _expose(mean_e, time_s, exposed, rng, [one * (time_s / exposure.frames) for one in each])
     return _frame(dn, fraction, mean_e, time_s, p, exposure, saturated)
 
@@ -534,7 +536,7 @@ def make_frame(
     dn: NDArray[np.int32],
     saturated_fraction: SaturatedFraction,
     signal_e_per_s: NotNegativePicture,
-    physics: PixelPhysics,
+    readout: Readout,
     exposure: Exposure,
     saturated: NDArray[np.bool_] | None = None,
 ) -> Frame:
@@ -548,14 +550,14 @@ def make_frame(
     Raises PixsimError if the electrons are too many for the numbers of the rates.
     """
     brightest_e_per_s = float(signal_e_per_s.max())
-    time_s = integration_time_s(exposure, physics, brightest_e_per_s)
-    mean_e = _mean_e(signal_e_per_s, brightest_e_per_s, time_s, physics)
-    return _frame(dn, saturated_fraction, mean_e, time_s, physics, exposure, saturated)
+    time_s = integration_time_s(exposure, readout, brightest_e_per_s)
+    mean_e = _mean_e(signal_e_per_s, brightest_e_per_s, time_s, readout)
+    return _frame(dn, saturated_fraction, mean_e, time_s, readout, exposure, saturated)
 
 
-def _mean_e(signal_e_per_s: Array, brightest_e_per_s: float, time_s: float, physics: PixelPhysics) -> Array:
+def _mean_e(signal_e_per_s: Array, brightest_e_per_s: float, time_s: float, readout: Readout) -> Array:
     """Return the mean photo-electrons of an exposure. Raises PixsimError if they, or the dark charge, would be infinite."""
-    most_e = (brightest_e_per_s + physics.dark_current_e_per_s) * time_s
+    most_e = (brightest_e_per_s + readout.dark_current_e_per_s) * time_s
     if not most_e <= float(np.finfo(np.result_type(signal_e_per_s, 1.0)).max):  # single precision stays that
         raise invalid("mean_e", f"{brightest_e_per_s:.3g} e-/s for {time_s:.3g} s", "a finite number of electrons")
     return signal_e_per_s * time_s
@@ -566,12 +568,12 @@ def _frame(
     saturated_fraction: float,
     mean_e: Array,
     time_s: float,
-    physics: PixelPhysics,
+    readout: Readout,
     exposure: Exposure,
     saturated: NDArray[np.bool_] | None,
 ) -> Frame:
-    physics = physics.at_exposure(exposure)
-    dn_per_e = physics.dn_per_e
+    readout, physics = readout.at(exposure), readout.physics
+    dn_per_e = readout.dn_per_e
     if not dn_per_e < math.inf:
         raise invalid("dn_per_e", f"{dn_per_e}", "a finite number", "Take a larger full well, or more electrons per DN.")
     return made(
@@ -580,18 +582,18 @@ def _frame(
         mean_e=mean_e,
         integration_s=time_s,
         dn_per_e=dn_per_e,
-        black_level_dn=physics.black_level_dn,
-        mean_dark_e=physics.dark_current_e_per_s * time_s,
+        black_level_dn=readout.black_level_dn,
+        mean_dark_e=readout.dark_current_e_per_s * time_s,
         pitch_um=physics.read_pitch_um,
-        bits=physics.code_bits,
+        bits=readout.code_bits,
         saturated_fraction=saturated_fraction,
         gain_db=exposure.gain_db,
         layout=physics.layout,
         registration=physics.registration,
-        exposures=physics.exposures,
-        white_level_dn=None if physics.exposures == 1 else float(physics.top_code_dn),
+        exposures=readout.exposures,
+        white_level_dn=None if readout.exposures == 1 else float(readout.top_code_dn),
         saturated=saturated,
-        dark_noise_e=physics.noise_floor_e,
+        dark_noise_e=readout.noise_floor_e,
     )
 
 
@@ -623,12 +625,12 @@ def capture(
     >>> round(float(frame.mean_e.mean() / photons / derive(pixel).quantum_efficiency(550.0)), 6)
     1.0
     """
-    exposure, physics = exposure or Exposure(), sensor.physics
+    exposure, physics = exposure or Exposure(), sensor.readout.physics
     if motion is None or not motion.is_on:
         return capture_from_rates(mean_signal_rate(irradiance, camera, physics), sensor, exposure, rng)
     irradiance.validate()
     lights, size_um = lights_of(irradiance, camera, physics), array_size_um(irradiance, camera)
     still, _ = array_signal(lights, irradiance.pitch_um, physics, size_um)
-    moving, exposure = metered_motion(still, physics, exposure, velocity_um_per_s(motion, camera, physics.pitch_um))
+    moving, exposure = metered_motion(still, sensor.readout, exposure, velocity_um_per_s(motion, camera, physics.pitch_um))
     signal, each = moved_signals(lights, irradiance.pitch_um, physics, size_um, moving, exposure.frames)
     return capture_from_rates(signal, sensor, exposure, rng, each)

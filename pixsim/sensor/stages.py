@@ -25,7 +25,7 @@ from pixsim.sensor.motion_options import VELOCITIES, motion_words
 # What a stage acts on, and what `act` takes beside it: the irradiance before the lens's blur, with the camera, of which it returns
 # what strays (`Veil`); how the light moves over the pixels (`Moving`), with its velocity, the time of the frame and the exposure;
 # the light of each row over its mean (`flickering`), with the time of the frame, the number of rows, the exposure and a generator;
-# the pixel as it is read, with the exposure.
+# how a pixel is read, with the exposure.
 Acts = Literal["irradiance", "light", "rows", "frame"]
 
 
@@ -75,7 +75,7 @@ MERGING = Stage(
     name="merging of exposures",
     acts_on="frame",
     settings=("exposure.frames", "exposure.frame_time"),
-    act=lambda physics, exposure: physics.burst(exposure.frames),
+    act=lambda readout, exposure: readout.burst(exposure.frames),
     words=burst_words,
 )
 

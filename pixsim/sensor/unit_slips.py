@@ -32,7 +32,7 @@ class UnitSlip(NamedTuple):
 def adc_range_per_well(pixel: PixelOptions) -> float | None:
     """Return the range of the ADC over the full well of a data sheet; None if it does not state both."""
     full_well_e = pixel.saturation_capacity_e if pixel.full_well_e is None else pixel.full_well_e
-    gain_e_per_dn = pixel.gain_e_per_dn if pixel.dn_per_e is None else 1 / pixel.dn_per_e
+    gain_e_per_dn = pixel.stated_gain_e_per_dn
     if full_well_e is None or gain_e_per_dn is None:
         return None
     return pixel.codes_dn * gain_e_per_dn / full_well_e

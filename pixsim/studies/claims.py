@@ -20,6 +20,7 @@ from pixsim.scene.charts import csf_contrast, csf_frequency_lp_per_mm, csf_frequ
 from pixsim.sensor.integration import pixels_on
 from pixsim.sensor.pixel import derive, fill_factor_law
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.technology import Technology, with_fill_factor_law
 from pixsim.studies.design import BASE, of_technology
 from pixsim.studies.engine import Workers, results_of
@@ -41,8 +42,9 @@ def dr_and_snr_db(pitch_um: Array, capacitance: str, technology: Technology | No
     """
     options = ({"pitch_um": p, "capacitance": capacitance} for p in pitch_um.tolist())
     pixels = [derive(Pixel.model_validate(option), technology) for option in options]
-    dr = [pixel.dynamic_range_db(FIGURE_2_INTEGRATION_S) for pixel in pixels]
-    snr = [pixel.snr_db(FIGURE_2_WELL_FRACTION * pixel.full_well_e, FIGURE_2_INTEGRATION_S) for pixel in pixels]
+    readouts = [Readout.of(pixel) for pixel in pixels]
+    dr = [readout.dynamic_range_db(FIGURE_2_INTEGRATION_S) for readout in readouts]
+    snr = [readout.snr_db(FIGURE_2_WELL_FRACTION * readout.full_well_e, FIGURE_2_INTEGRATION_S) for readout in readouts]
     return np.array(dr), np.array(snr)
 
 

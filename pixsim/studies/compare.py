@@ -259,7 +259,7 @@ def compared_sensor(group: SensorGroup, lit: LitCase, light: Light, plan: Plan) 
         case=case,
         light=light,
         score=score,
-        dark=dark_clip(score.physics, time_s, white_e),
+        dark=dark_clip(score.readout, time_s, white_e),
         white_e=white_e,
         steps=steps,
         colour=None if chain.rendition is None else chain.development.colour_facts(time_s),

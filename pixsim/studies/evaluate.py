@@ -266,11 +266,12 @@ SENSORS_BYTES = 1 << 26  # of fixed patterns that a thread keeps for the next li
 
 def cached_sensor(chain: ImagingChain, *key: object) -> Sensor:
     """Return the sensor of `ImagingChain.sensor`. Other cases may have the same ones, of which a thread keeps the last."""
-    pixels = replace(chain.physics, pixel=chain.physics.pixel.model_copy(update={"registration": None}))
+    physics = chain.readout.physics
+    pixels = chain.readout.with_physics(pixel=physics.pixel.model_copy(update={"registration": None}))
     if getattr(_recent, "pixels", None) != pixels:
         _recent.pixels, _recent.sensors = pixels, {}
     sensors: dict[object, Sensor] = _recent.sensors
-    place = key, chain.physics.registration, chain.signal_e_per_s.shape
+    place = key, physics.registration, chain.signal_e_per_s.shape
     if place not in sensors:
         sensor = chain.sensor(*key)
         size = sum(pattern.nbytes for pattern in (sensor.gain, sensor.dark_gain, sensor.offset_e) if pattern is not None)
@@ -364,7 +365,7 @@ def shown_chain(task: Task, light: SharedLight, repeat: int, frames: cache.Array
         return None
     imaging = registered_in(task.imaging, light, repeat)
     physics = imaging.physics
-    rows, columns = pixels_on(light.array_um, physics.as_read.read_pitch_um, physics.registration)
+    rows, columns = pixels_on(light.array_um, physics.read_pitch_um, physics.registration)
     whole = rows * physics.planes, columns
     cached = cached_frame(frames, repeat, whole, imaging)
     if cached is None:
@@ -392,7 +393,7 @@ def frames_of(
         cached = cached_frame(before, repeat, (shape[0], shape[1]), task.imaging)
         if cached is not None:
             dn, fraction, saturated = cached[DN].astype(np.int32), float(cached[SATURATED]), cached.get(SATURATED_PIXELS)
-            frame = make_frame(dn, fraction, chain.signal_e_per_s, chain.physics, chain.exposure, saturated)
+            frame = make_frame(dn, fraction, chain.signal_e_per_s, chain.readout, chain.exposure, saturated)
             yield repeat, chain, replace(frame, corrected_e=cached.get(CORRECTED)), float(cached[MEAN])
             continue
         sensor_of = partial(cached_sensor, chain) if task.shares_sensors else None
@@ -416,7 +417,7 @@ def ideal_facts(lit: LitCase, smallest_um: float) -> IdealFacts:
     """
     smallest, hashes = lit.imaging.at(smallest_um), lit.fingerprints
     electrons, *others = lit.light_key
-    pixels_um = smallest.physics.as_read.read_pitch_um if lit.imaging.display.raster == "one_to_one" else None
+    pixels_um = smallest.physics.read_pitch_um if lit.imaging.display.raster == "one_to_one" else None
     seen = [hashes.imaging, hashes.shown[0], blake2b(electrons).hexdigest(), *others, pixels_um]
 
     def read(entry: dict[str, Any]) -> IdealFacts:

@@ -36,6 +36,7 @@ from pixsim.scene.rules import Chart
 from pixsim.sensor.collection import Illumination
 from pixsim.sensor.integration import ChannelLight, PartBehindLens, illumination_of
 from pixsim.sensor.motion_options import STILL
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import frame_variance_dn2, integration_time_s, lasting
 from pixsim.viewer.chain import ImagingChain, make_chain
 from pixsim.viewer.colour_matrix import AlikeChannelsError
@@ -450,7 +451,7 @@ def kept_steps(
 
     Its header states everything that the picture depends on.
     """
-    imaging, size_um = _of_parts(imaging), largest_um or imaging.physics.as_read.read_pitch_um
+    imaging, size_um = _of_parts(imaging), largest_um or imaging.physics.read_pitch_um
     places = [measured_places(image, size_um, imaging.display, most) for most in (None, MEASURED_FINER)]
     of_parts = [[[side.start, side.stop] for place in own for side in place] for own in places]
     records = imaging.pixel, imaging.camera, imaging.exposure, imaging.correction, imaging.develop, imaging.display
@@ -486,7 +487,7 @@ def film_steps(
     largest_um : pitch that sets the size of the parts; None means that of the pixel
     """
     imaging = _of_parts(imaging)
-    size_um, display = largest_um or imaging.physics.as_read.read_pitch_um, imaging.display
+    size_um, display = largest_um or imaging.physics.read_pitch_um, imaging.display
     image = with_veil_of_whole(image, imaging.camera)
     parts = list(parts_of(image, size_um, display))
     per_dot = samples_per_dot(image.shape[1], imaging, chart)
@@ -657,7 +658,8 @@ def delta_e_on_films(
 def chains_of_film(film: Film, lights: Sequence[tuple[ChannelLight, ...] | None], imaging: Imaging) -> list[ImagingChain]:
     """Return the imaging chain of each part of a film, all exposed as long as the brightest of them allows."""
     # Each part has the border of its own pixels; what moves or flickers shows less of the film.
-    steady, physics = imaging.exposure.steady, imaging.physics
+    steady = imaging.exposure.steady
+    readout = Readout.of(imaging.physics, steady, bin_side=1)
     imaging = imaging.changed(border_um=None, single=False, motion=STILL, exposure=steady)
 
     def prepare(number: int) -> ImagingChain:
@@ -667,7 +669,7 @@ def chains_of_film(film: Film, lights: Sequence[tuple[ChannelLight, ...] | None]
 
     chains = each_of(prepare, len(film), sum(math.prod(part.shape) for part, _ in film))
     brightest_e_per_s = max(float(chain.signal_e_per_s.max()) for chain in chains)
-    exposure = lasting(steady, integration_time_s(steady, physics, brightest_e_per_s))
+    exposure = lasting(steady, integration_time_s(steady, readout, brightest_e_per_s))
     return [replace(chain, exposure=exposure) for chain in chains]
 
 
@@ -683,7 +685,7 @@ def standard_noise_of(chain: ImagingChain, imaging: Imaging, number: int) -> Arr
 def _deviation_e(chain: ImagingChain, integration_s: float) -> Array:
     """Return the standard deviation of the frames of a chain in electrons, (rows, columns), by its closed form."""
     signal_e = chain.signal_e_per_s * integration_s
-    return np.asarray(np.sqrt(frame_variance_dn2(signal_e, integration_s, chain.physics)) / chain.physics.dn_per_e)
+    return np.asarray(np.sqrt(frame_variance_dn2(signal_e, integration_s, chain.readout)) / chain.readout.dn_per_e)
 
 
 def means_over_rectangles(picture: Array, divisions: int) -> Array:

@@ -19,6 +19,7 @@ from pixsim.sensor.integration import M2_PER_UM2, collecting_area_um2, electrons
 from pixsim.sensor.motion import velocity_um_per_s
 from pixsim.sensor.noise import signal_at_snr_e, variance_e2
 from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.reading import Readout
 from pixsim.show.figures import LOOKS, new_figure, own_style
 from pixsim.show.pages import Column, Plate
 from pixsim.show.sentences import span
@@ -197,9 +198,10 @@ def detail_terms(
 def mpe30_lx_s(result: StudyResult, physics: PixelPhysics, integration_s: float = MPE30_INTEGRATION_S) -> float:
     """Return the minimum photometric exposure on the sensor for an SNR of 30 dB (eq. 2); inf if it exceeds saturation."""
     snr = 10 ** (30 / 20)
-    noise_e2 = float(variance_e2(physics, is_temporal=True)) + physics.dark_current_e_per_s * integration_s
+    readout = Readout.of(physics, result.study.exposure, bin_side=1)  # the area is that of single pixels
+    noise_e2 = float(variance_e2(readout, is_temporal=True)) + readout.dark_current_e_per_s * integration_s
     signal_e = signal_at_snr_e(snr, noise_e2, 0.0)
-    if signal_e > physics.saturation_e:
+    if signal_e > readout.saturation_e:
         return np.inf
     area_um2 = collecting_area_um2(result.irradiance, result.camera, physics)
     return float(signal_e / (sensitivity_e_per_lx_s_um2(result, physics) * area_um2))
@@ -231,7 +233,7 @@ class Quanta:
     @classmethod
     def of(cls, frame: ExpectedFrame) -> Quanta:
         """Return that of such frames."""
-        return cls(frame.physics.pitch_um, *neq_along(frame))
+        return cls(frame.readout.physics.pitch_um, *neq_along(frame))
 
 
 def quanta_of_run(result: RunResult) -> dict[str, Quanta]:

@@ -33,6 +33,7 @@ from pixsim.sensor.integration import MAX_PIXELS, pixels_along, pixels_on
 from pixsim.sensor.labels import label_of, labels_of
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.pixel_options import PixelOptions
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.spread import Uncertainty
 from pixsim.sensor.technology import check_name
 from pixsim.sensor.unit_slips import unit_slips
@@ -290,12 +291,13 @@ def check_pitches(study: Study) -> None:
     for technology in study.technologies:
         pitches_um, process = study_pitches_um(study, technology).tolist(), technology_of(study, technology)
         try:  # what a pixel is derived from grows or falls with its pitch: sizes between two possible ones are possible
-            smallest, _ = (physics_of(study, technology, pitches_um[end], process).pixel for end in (0, -1))
+            smallest, _ = (physics_of(study, technology, pitches_um[end], process) for end in (0, -1))
         except PixsimError:
             for pitch_um in pitches_um:  # the message is that of the first impossible one
                 physics_of(study, technology, pitch_um, process)
             raise
-        for note in unit_slips(smallest):
+        Readout.of(smallest, study.exposure)  # raises for a burst whose sum has too many bits
+        for note in unit_slips(smallest.pixel):
             warn(note)
     first = sum(sum(sensors.values()) for sensors in first_sampling(study).values())
     if study.max_evaluations is not None and study.max_evaluations < first:

@@ -25,6 +25,7 @@ from pixsim.sensor.labels import file_label, label_of, labels_of
 from pixsim.sensor.pixel import PixelPhysics, has_microlens, smallest_pitch_um
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.sensor.quantities import Pitch
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.technology import Technology, with_fill_factor_law
 from pixsim.show.figures import LOOKS, Look, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate
@@ -473,7 +474,8 @@ class StudyResult:
                 physics = self.physics(curve.technology, pitch_um)
                 rate = white_rate(imaging, self.irradiance)
                 area_um2 = collecting_area_um2(self.irradiance, self.camera, physics)
-                clips.append(dark_clip(physics, time_s, rate * area_um2 * time_s))
+                readout = Readout.of(physics, self.study.exposure, bin_side=1)
+                clips.append(dark_clip(readout, time_s, rate * area_um2 * time_s))
             self._dark[curve.technology, exposures] = {name: [clip[name] for clip in clips] for name in clips[0]}
         return self._dark[curve.technology, exposures]
 

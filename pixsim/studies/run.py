@@ -327,15 +327,15 @@ class RunResult(LitRun):
     @cached_property
     def white_e(self) -> float:
         """Mean electrons of the scene's white on axis in the first frame, of a pixel without a stack."""
-        physics = self.score.physics
-        area_um2 = collecting_area_um2(self.irradiance, self.camera, physics)
+        readout = self.score.readout
+        area_um2 = collecting_area_um2(self.irradiance, self.camera, readout.physics)
         rate = white_rate(self.chain.imaging.changed(display=self.settings.display), self.irradiance)
-        return rate * area_um2 * physics.bin_side**2 * self.score.frame.integration_s
+        return rate * area_um2 * readout.bin_side**2 * self.score.frame.integration_s
 
     @cached_property
     def dark(self) -> dict[str, float]:
         """Effect of clipping dark pixels at 0 DN, as `pixsim.viewer.dark_clip.dark_clip`."""
-        return dark_clip(self.score.physics, self.score.frame.integration_s, self.white_e)
+        return dark_clip(self.score.readout, self.score.frame.integration_s, self.white_e)
 
     @cached_property
     def causes(self) -> tuple[Cause, ...]:
@@ -446,7 +446,7 @@ class RunResult(LitRun):
             "dark": self.dark,
             "causes": [cause.as_dict() for cause in self.causes],
             "camera": self.camera.model_dump(),
-            "in_focus_m": finite_or_none(depth_of_field_m(self.camera, score.physics.as_read.read_pitch_um)),
+            "in_focus_m": finite_or_none(depth_of_field_m(self.camera, score.physics.read_pitch_um)),
             "exposure": settings.exposure.model_dump(),
             "correction": settings.correction.model_dump(),
             **({"motion": settings.motion.model_dump()} if settings.motion.is_on else {}),

@@ -60,7 +60,7 @@ def technology_of(study: Study, name: str) -> Technology:
 
 @checks_arguments
 def physics_of(study: Study, technology: str, pitch_um: Pitch, process: Technology | None = None) -> PixelPhysics:
-    """Return the physical properties of a study's pixel, with the process numbers of `Study.process`, as it is exposed.
+    """Return the physical properties of a study's pixel, with the process numbers of `Study.process`.
 
     Parameters
     ----------
@@ -70,8 +70,7 @@ def physics_of(study: Study, technology: str, pitch_um: Pitch, process: Technolo
 
     Raises PixsimError as `derive` and `technology_of` do.
     """
-    physics = derive(pixel_of(study, technology, pitch_um), process or technology_of(study, technology))
-    return physics.at_exposure(study.exposure)
+    return derive(pixel_of(study, technology, pitch_um), process or technology_of(study, technology))
 
 
 @checks_arguments

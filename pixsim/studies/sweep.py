@@ -164,12 +164,12 @@ def check_pixel(imaging: Imaging, light: SpectralImage, *, has_background: bool)
     """
     imaging.metrics.check(MetricContext(imaging.pixel.colour is not None, has_background))
     check_develop(imaging.develop, imaging.pixel)
-    read = imaging.physics.as_read
+    physics = imaging.physics
     dot_edges_um(
         picture_size_um(light),
-        read.read_pitch_um,
+        physics.read_pitch_um,
         imaging.display,
         imaging.scored_border_um,
         array_size_um(light, imaging.camera),
-        read.registration,
+        physics.registration,
     )

@@ -31,6 +31,7 @@ from pixsim.sensor.integration import electrons_per_joule, integrate_pixels, mea
 from pixsim.sensor.photodiode import collected_charge_e, default_diode, diode_of
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame, capture_from_rates, quantise, sample_sensor, shot_noise
 from pixsim.verification.case import ANSWERS, ExtremeCase, KnownAnswer
 from pixsim.viewer.display import average_axis, white_rate
@@ -294,7 +295,7 @@ def capture(
     options : of a pixel
     exposure : 1 s if no other integration time is asked for
     """
-    sensor = sample_sensor(physics_of(options), shape, default_rng(0))
+    sensor = sample_sensor(Readout.of(physics_of(options)), shape, default_rng(0))
     if offset_e:
         sensor = replace(sensor, offset_e=np.full(shape, offset_e))
     times = Exposure(**{"integration_s": 1.0} | exposure)
@@ -437,7 +438,7 @@ def rounding_errors(bits: int) -> Array:
 def dark_gains(seed: int, dsnu: float) -> Array:
     """Mean and variance of the dark-current map of a sensor."""
     physics = physics_of(SENSOR | {"dsnu": dsnu, "dark_current_e_per_s": 1.0})
-    gain = sample_sensor(physics, FRAME, default_rng(seed)).dark_gain
+    gain = sample_sensor(Readout.of(physics), FRAME, default_rng(seed)).dark_gain
     return moments(np.asarray(gain, float), 1.0)
 
 
@@ -1004,7 +1005,7 @@ def table_rows(process: str, temperature_k: float, time_s: float, conversion: st
     return [
         (
             f"table: {name}",
-            lambda generated_e: diodes.stored_signal_e(generated_e, time_s, physics),
+            lambda generated_e: diodes.stored_signal_e(generated_e, time_s, Readout.of(physics)),
             level_e,
             1e-6,
             "quadrature",

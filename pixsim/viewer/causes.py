@@ -18,7 +18,7 @@ from pixsim.sensor.code_moments import moments_of_codes
 from pixsim.sensor.flicker import burst_modulation, clipped_light
 from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.outside import SHOWN_SHARE, outside_hint, outside_share, outside_words
-from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.reading import Readout
 from pixsim.viewer.display import setting_of_white
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.light_error import NOTHING, Cause
@@ -51,15 +51,15 @@ def causes_of(
     lightness : L* of the darkest and the lightest dot of the ideal image (`lightness_range`)
     saturated_fraction : of the pixels of a frame
     """
-    physics = imaging.readout
+    readout = imaging.readout
     of_frame = white_e, integration_s, lightness[1]
     modulation = burst_modulation(imaging.exposure, integration_s)
-    full = _full(_range_e(physics, integration_s), white_e, lightness[1], saturated_fraction, modulation)
-    of_sensor = _codes(physics, *of_frame) or full
-    if tells_nothing(physics, *of_frame, saturated_fraction):
+    full = _full(_range_e(readout, integration_s), white_e, lightness[1], saturated_fraction, modulation)
+    of_sensor = _codes(readout, *of_frame) or full
+    if tells_nothing(readout, *of_frame, saturated_fraction):
         of_sensor = _nothing(of_sensor, saturated_fraction)
     contrast = _contrast(*lightness, setting_of_white(header, imaging.display))
-    causes = [contrast, of_sensor, _light(outside_share(header, physics))]
+    causes = [contrast, of_sensor, _light(outside_share(header, imaging.physics))]
     return tuple(sorted(filter(None, causes), key=lambda cause: -cause.delta_e))
 
 
@@ -90,26 +90,26 @@ def luminance_of_lightness(lightness: float) -> float:
     return float(((lightness + 16) / 116) ** 3 if lightness > LINEAR_BELOW else lightness * 27 / 24389)
 
 
-def codes_to_white(physics: PixelPhysics, white_e: float, integration_s: float) -> float:
+def codes_to_white(readout: Readout, white_e: float, integration_s: float) -> float:
     """Return the codes of the ADC between black and display white, as far as the well and the ADC reach.
 
-    physics : of what is read
+    readout : how the pixels are read
     white_e : mean electrons of the scene's white on axis, in this time
     """
-    return max(0.0, min(white_e, _range_e(physics, integration_s))) * physics.dn_per_e
+    return max(0.0, min(white_e, _range_e(readout, integration_s))) * readout.dn_per_e
 
 
-def _range_e(physics: PixelPhysics, integration_s: float) -> float:
-    return physics.saturation_e - physics.dark_current_e_per_s * integration_s
+def _range_e(readout: Readout, integration_s: float) -> float:
+    return readout.saturation_e - readout.dark_current_e_per_s * integration_s
 
 
-def tells_nothing(physics: PixelPhysics, white_e: float, integration_s: float, lightest: float, saturated_fraction: float) -> bool:
+def tells_nothing(readout: Readout, white_e: float, integration_s: float, lightest: float, saturated_fraction: float) -> bool:
     """Return whether a frame is the same in any light: all pixels are full, or the lightest dot moves no code out of its noise.
 
     The codes of a pixel are compared with those in the dark: the difference of their means, as the well, the ADC and code 0 clip
     them, over the standard deviation in the dark. In a burst that is a part of its frame's.
 
-    physics : of what is read
+    readout : how the pixels are read
     white_e, integration_s, saturated_fraction : of `causes_of`
     lightest : L* of the ideal image's lightest dot
     """
@@ -117,8 +117,8 @@ def tells_nothing(physics: PixelPhysics, white_e: float, integration_s: float, l
         return True
     if lightest < SEEN_LIGHTNESS:  # the picture is black, whatever the sensor
         return False
-    exposure, time_s = physics.burst(1), integration_s / physics.exposures
-    signal_e = white_e * luminance_of_lightness(lightest) / physics.exposures
+    exposure, time_s = readout.burst(1), integration_s / readout.exposures
+    signal_e = white_e * luminance_of_lightness(lightest) / readout.exposures
     dark_e = exposure.dark_current_e_per_s * time_s
     charge_e = np.minimum(np.array([0.0, signal_e]) + dark_e, exposure.saturation_e)
     level_dn = np.minimum(exposure.black_level_dn + exposure.dn_per_e * charge_e, exposure.top_code_dn)
@@ -141,9 +141,9 @@ def _less_light() -> str:
     return f"less time ({setting('exposure.integration_s')}) or gain ({setting('exposure.gain_db')}), or a larger full well"
 
 
-def _codes(physics: PixelPhysics, white_e: float, integration_s: float, lightest: float) -> Cause | None:
-    codes, range_e = codes_to_white(physics, white_e, integration_s), _range_e(physics, integration_s)
-    signal = codes_to_white(physics, white_e * luminance_of_lightness(lightest), integration_s)
+def _codes(readout: Readout, white_e: float, integration_s: float, lightest: float) -> Cause | None:
+    codes, range_e = codes_to_white(readout, white_e, integration_s), _range_e(readout, integration_s)
+    signal = codes_to_white(readout, white_e * luminance_of_lightness(lightest), integration_s)
     if codes >= FEWEST_CODES * (1 - ROUNDING) and (signal >= 1 or lightest < SEEN_LIGHTNESS):  # black has no contrast
         return None
     hint = f"more bits ({setting('pixel.bits')}), light, time or gain ({setting('exposure.gain_db')}), or a smaller full well"

@@ -19,6 +19,7 @@ from pixsim.sensor.integration import array_signal, centred_pixels, moved_signal
 from pixsim.sensor.motion import STANDING, Moving
 from pixsim.sensor.motion_options import VELOCITIES
 from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame, Sensor, capture_from_rates, integration_time_s, lasting, metered_motion, sample_sensor
 from pixsim.viewer.develop import Rendition
 from pixsim.viewer.development import Development
@@ -53,9 +54,9 @@ class ExpectedFrame:
         return self.development.imaging
 
     @property
-    def physics(self) -> PixelPhysics:
-        """The pixel as it is read."""
-        return self.development.physics
+    def readout(self) -> Readout:
+        """How the pixels are read."""
+        return self.development.readout
 
     @property
     def white_e(self) -> float:
@@ -68,7 +69,7 @@ class ImagingChain:
     """Everything that the frames of one pixel type share: its mean signal, its exposure, and the screen that shows them.
 
     imaging : settings, of the pixels at their place on the die
-    physics : of what is read, at the gain of the exposure
+    readout : how the pixels are read, at the gain of the exposure
     exposure : that of the settings, with its time where that is metered on other light
     signal_e_per_s : of every value of a frame, (rows, columns)
     whites_e_per_s : electrons per second of the scene's white, on axis, in each channel
@@ -81,7 +82,7 @@ class ImagingChain:
     """
 
     imaging: Imaging
-    physics: PixelPhysics
+    readout: Readout
     exposure: Exposure
     signal_e_per_s: Array
     whites_e_per_s: tuple[float, ...]
@@ -100,7 +101,7 @@ class ImagingChain:
         imaging = self.imaging if display is self.imaging.display else self.imaging.changed(display=display)
         return Development(
             imaging,
-            self.physics,
+            self.readout,
             self.exposure,
             self.signal_e_per_s,
             self.whites_e_per_s,
@@ -117,7 +118,7 @@ class ImagingChain:
     @property
     def integration_s(self) -> float:
         """Integration time of a frame, which depends on its brightest pixel."""
-        return integration_time_s(self.exposure, self.physics, float(self.signal_e_per_s.max()))
+        return integration_time_s(self.exposure, self.readout, float(self.signal_e_per_s.max()))
 
     def expected(self, integration_s: float) -> ExpectedFrame:
         """Return what is expected of a frame of this time. Only for light that metrics ask for."""
@@ -150,7 +151,7 @@ class ImagingChain:
 
     def sensor(self, *key: object) -> Sensor:
         """Return the sensor of `capture`; it does not depend on the light."""
-        return sample_sensor(self.physics, self.signal_e_per_s.shape, stream(*key, "sensor"))
+        return sample_sensor(self.readout, self.signal_e_per_s.shape, stream(*key, "sensor"))
 
     def capture(self, *key: object, sensor_of: Callable[..., Sensor] | None = None) -> Frame:
         """Return the frame that `simulate` scores.
@@ -164,7 +165,7 @@ class ImagingChain:
         self, sensor_rng: np.random.Generator, frame_rng: np.random.Generator, correction_rng: np.random.Generator
     ) -> Frame:
         """Return a frame whose fixed pattern, temporal noise and frames for its correction come from three generators."""
-        sensor = sample_sensor(self.physics, self.signal_e_per_s.shape, sensor_rng)
+        sensor = sample_sensor(self.readout, self.signal_e_per_s.shape, sensor_rng)
         return self.capture_by(sensor, frame_rng, lambda: correction_rng)
 
     def capture_by(
@@ -177,7 +178,7 @@ class ImagingChain:
         frame, correction = self._taken(sensor, frame_rng), self.imaging.correction
         if not correction.is_on:
             return frame
-        layout, whites = self.physics.layout, np.array(self.whites_e_per_s)
+        layout, whites = self.readout.physics.layout, np.array(self.whites_e_per_s)
         levels = None if layout is None else of_channels(whites / whites.max(), layout, self.signal_e_per_s.shape)
         return correct(frame, sensor, correction, make_correction_rng(), self.development.flat_field, levels)
 
@@ -211,7 +212,7 @@ def make_chain(imaging: Imaging, light: SharedLight, *, room_is_checked: bool = 
     signal, collections = array_signal(scene.lights, scene.sample_pitch_um, physics, scene.array_um)
     if scene.metering_light is not None and exposure.integration_s is None:
         metered, _ = array_signal(scene.metering_light, scene.sample_pitch_um, physics, scene.array_um)
-        exposure = lasting(exposure, integration_time_s(exposure, physics.as_read, float(metered.max())))
+        exposure = lasting(exposure, integration_time_s(exposure, imaging.readout, float(metered.max())))
     still = _standing(imaging, scene, exposure, signal, collections)
     return _moved(still, room_is_checked) if any(imaging.um_per_s) else still
 
@@ -231,8 +232,7 @@ def _standing(
 ) -> ImagingChain:
     """Return the chain of light that stands still."""
     physics, rendition = imaging.physics, scene.rendition
-    read = physics.as_read.at_exposure(exposure)
-    check_whole_cell(read, signal.shape)
+    check_whole_cell(physics, signal.shape)
 
     collection: Collection | ColourCollection | None = collections[0] if collections else None
     if collections and rendition is not None:
@@ -245,14 +245,14 @@ def _standing(
     background = None
     if scene.facts is not None and scene.facts.background is not None:
         background, _ = array_signal(scene.facts.background, scene.sample_pitch_um, physics, scene.array_um)
-    return ImagingChain(imaging, read, exposure, signal, whites, scene.screen, collection, rendition, scene, background)
+    return ImagingChain(imaging, imaging.readout, exposure, signal, whites, scene.screen, collection, rendition, scene, background)
 
 
 def _moved(still: ImagingChain, room_is_checked: bool) -> ImagingChain:
     """Return the chain of light that moves, from that of the same light that stands still."""
     imaging, scene = still.imaging, still.scene
     assert scene is not None
-    moving, exposure = metered_motion(still.signal_e_per_s, still.physics, still.exposure, imaging.um_per_s)
+    moving, exposure = metered_motion(still.signal_e_per_s, still.readout, still.exposure, imaging.um_per_s)
     still = replace(still, exposure=exposure)
     if not room_is_checked:
         check_room(still, moving)
@@ -267,7 +267,7 @@ def _moved(still: ImagingChain, room_is_checked: bool) -> ImagingChain:
 
 def check_room(chain: ImagingChain, moving: Moving) -> None:
     """Raise PixsimError if light from beyond the picture moves into the part of it that is scored."""
-    screen, read = chain.screen, chain.physics
+    screen, read = chain.screen, chain.readout.physics
     assert chain.scene is not None
     is_one_to_one = screen.display.raster == "one_to_one"
     border_um = 0.0 if is_one_to_one else read.border_um
@@ -285,16 +285,14 @@ def check_room(chain: ImagingChain, moving: Moving) -> None:
 
 
 def check_whole_cell(physics: PixelPhysics, shape: tuple[int, ...]) -> None:
-    """Raise PixsimError if a frame (rows, columns) of a mosaic lacks a part of the unit cell, and with it colours.
-
-    physics : of what is read
-    """
+    """Raise PixsimError if a frame (rows, columns) of a mosaic lacks a part of the unit cell, and with it colours."""
     layout = physics.layout
     if layout is None:
         return
     (high, wide), (rows, columns) = layout.period, shape
     if rows < high or columns < wide:
-        binned = f" after binning of {physics.bin_side} × {physics.bin_side}" if physics.bin_side > 1 else ""
+        side = physics.pixel.bin_side
+        binned = f" after binning of {side} × {side}" if side > 1 else ""
         got = f"{physics.pitch_um:g}, which leaves {rows} × {columns} pixels on the die{binned}"
         allowed = f"at least the unit cell {', '.join(layout.cell)} of {high} × {wide} pixels"
         raise invalid("pixel.pitch_um", got, allowed, "Choose smaller pixels or a larger die.")

@@ -10,7 +10,7 @@ from scipy.special import gammaincinv, gammaln, ndtr, ndtri
 
 from pixsim.sensor.code_moments import moments_of_codes
 from pixsim.sensor.noise import variance_e2
-from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import MAX_BLACK, dark_spread_e, least_black_level_dn
 from pixsim.show.sentences import rounded
 from pixsim.viewer.scielab import xyz_to_lab
@@ -21,7 +21,7 @@ POISSON_TERMS = 200  # 10 σ above `FEW_E`
 NO_NOISE_DN = 1e-9  # σ used in place of 0
 
 
-def dark_clip(physics: PixelPhysics, integration_s: float, white_e: float) -> dict[str, float]:
+def dark_clip(readout: Readout, integration_s: float, white_e: float) -> dict[str, float]:
     """Return the effect of clipping dark pixels at 0 DN, and the black level that avoids it, as in score.json.
 
     A dark level is the sum of the black level, dark charge (gamma-distributed by DSNU, with hot pixels, Poisson, never negative),
@@ -43,29 +43,29 @@ def dark_clip(physics: PixelPhysics, integration_s: float, white_e: float) -> di
 
     >>> from pixsim.sensor.pixel import derive
     >>> from pixsim import Pixel
-    >>> clip = dark_clip(derive(Pixel()), 0.03, white_e=5e4)  # no black level: half of the dark levels, σ of 209 e-
+    >>> clip = dark_clip(Readout.of(derive(Pixel())), 0.03, white_e=5e4)  # no black level: half of the dark levels, σ of 209 e-
     >>> round(clip["at_zero_fraction"], 2), round(clip["too_bright_e"]), clip["least_black_level_dn"]
     (0.54, 71, 15)
     """
-    count = physics.exposures
+    count = readout.exposures
     if count > 1:
-        clip = dark_clip(physics.burst(1), integration_s / count, white_e / count)
-        spread_e = dark_spread_e(physics, integration_s)
-        of_frame = {"spread_e": spread_e, "spread_dn": physics.dn_per_e * spread_e, "too_bright_e": count * clip["too_bright_e"]}
+        clip = dark_clip(readout.burst(1), integration_s / count, white_e / count)
+        spread_e = dark_spread_e(readout, integration_s)
+        of_frame = {"spread_e": spread_e, "spread_dn": readout.dn_per_e * spread_e, "too_bright_e": count * clip["too_bright_e"]}
         return clip | of_frame
-    p, gain = physics, physics.dn_per_e
+    p, dark, gain = readout, readout.dark_spread, readout.dn_per_e
     noise_dn = gain * math.sqrt(variance_e2(p))
-    ordinary_e = p.dark_current_e_per_s * integration_s * p.dark_spread.ordinary_mean
+    ordinary_e = p.dark_current_e_per_s * integration_s * dark.ordinary_mean
     dark_e = np.array([ordinary_e])
-    if p.dsnu > np.finfo(float).eps:  # as `sample_sensor` takes it
-        shape = p.dsnu**-2
+    if dark.dsnu > np.finfo(float).eps:  # as `sample_sensor` takes it
+        shape = dark.dsnu**-2
         dark_e = dark_e * gammaincinv(shape, (np.arange(DARK_NODES) + 0.5) / DARK_NODES) / shape
     share = np.full(dark_e.size, 1.0 / dark_e.size)
-    if p.hot_pixel_fraction:
-        logarithm = p.hot_pixel_spread * ndtri((np.arange(DARK_NODES) + 0.5) / DARK_NODES)
-        of_hot = np.full(DARK_NODES, p.hot_pixel_fraction / DARK_NODES)
-        dark_e = np.concatenate([dark_e, ordinary_e * p.hot_pixel_median * np.exp(logarithm)])
-        share = np.concatenate([(1 - p.hot_pixel_fraction) * share, of_hot])
+    if dark.hot_fraction:
+        logarithm = dark.hot_spread * ndtri((np.arange(DARK_NODES) + 0.5) / DARK_NODES)
+        of_hot = np.full(DARK_NODES, dark.hot_fraction / DARK_NODES)
+        dark_e = np.concatenate([dark_e, ordinary_e * dark.hot_median * np.exp(logarithm)])
+        share = np.concatenate([(1 - dark.hot_fraction) * share, of_hot])
     is_few = dark_e <= FEW_E
     many, few = dark_e[~is_few], np.maximum(dark_e[is_few, None], np.finfo(float).tiny)
     counts = np.arange(POISSON_TERMS)
@@ -73,7 +73,7 @@ def dark_clip(physics: PixelPhysics, integration_s: float, white_e: float) -> di
     charge_e = np.concatenate([counts, many])
     weight = np.concatenate([poisson, share[~is_few]])
     sigma_dn = np.sqrt(noise_dn**2 + gain**2 * np.concatenate([np.zeros(counts.size), many]))
-    level_dn, sigma_dn = p.pixel.black_level_dn + gain * charge_e, np.maximum(sigma_dn, NO_NOISE_DN)
+    level_dn, sigma_dn = p.adc.black_level_dn + gain * charge_e, np.maximum(sigma_dn, NO_NOISE_DN)
     at_zero, excess_dn = ndtr((0.5 - level_dn) / sigma_dn), moments_of_codes(-level_dn, sigma_dn)[0]  # codes below 0, mirrored
     too_bright_e = float(weight @ excess_dn) / gain
     of_white = min(too_bright_e / white_e, 1.0)

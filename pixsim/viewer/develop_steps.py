@@ -28,7 +28,7 @@ from pixsim.sensor.colour_options import binned_cell
 from pixsim.sensor.correction import flat_light_e, residual_variance_e2
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.noise import constant_e, variance_e2
-from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame, frame_variance_dn2
 from pixsim.viewer.demosaic import (
     WHITE,
@@ -58,7 +58,7 @@ class Developing:
     """A frame to be developed, and what the steps know of it.
 
     imaging : settings of the frame, with the display that shows it
-    physics : of what is read
+    readout : how its pixels are read
     white_e : (C,) mean electrons of the scene's white on axis, in this frame's exposure, for each channel; (1,) without filters
     shading : by which each value of the frame is divided; None for none
     single : compute in float32 from white balance on, except by menon2007, if `fits_single`
@@ -70,7 +70,7 @@ class Developing:
 
     frame: Frame
     imaging: Imaging
-    physics: PixelPhysics
+    readout: Readout
     white_e: Array
     shading: Array | None = field(default=None, repr=False)
     single: bool = False
@@ -204,34 +204,34 @@ class Step:
 # --- raw planes ------------------------------------------------------------------------------------------------------------------
 
 
-def white_noise_e2(physics: PixelPhysics, integration_s: float, correction: Correction) -> float:
+def white_noise_e2(readout: Readout, integration_s: float, correction: Correction) -> float:
     """Return the variance of a raw pixel's noise that does not grow with the light, and is another in each pixel and each frame.
 
     Reset and read noise and rounding; and, as white, what dark frames and dark rows leave of theirs. Row noise and fixed patterns
     are none of it: they are not white, or not known.
     """
-    own_e2 = float(variance_e2(physics, is_temporal=True, along="pixel")) + physics.rounding_variance_dn2 / physics.dn_per_e**2
+    own_e2 = float(variance_e2(readout, is_temporal=True, along="pixel")) + readout.rounding_variance_dn2 / readout.dn_per_e**2
     rows = 1 / correction.column_clamp if correction.column_clamp else 0.0
-    of_dark = (own_e2 + physics.dark_current_e_per_s * integration_s) * (1 + rows)
+    of_dark = (own_e2 + readout.dark_current_e_per_s * integration_s) * (1 + rows)
     return own_e2 * (1 + rows) + (of_dark / correction.dark_frames if correction.dark_frames else 0.0)
 
 
 def noise_of_expected_e2(
-    signal_e: Array, physics: PixelPhysics, integration_s: float, correction: Correction
+    signal_e: Array, readout: Readout, integration_s: float, correction: Correction
 ) -> tuple[Array, float, float]:
     """Return the variance of each pixel by itself of an expected frame (rows, columns), and of what columns and rows share.
 
     With the fixed patterns, as far as the correction leaves them. The mean of dark rows, which a column loses, is shared by it, and
     so are the offsets that rows have in dark and flat frames by the rows.
     """
-    row = float(variance_e2(physics, is_temporal=True, along="row"))
-    column = float(variance_e2(physics, is_temporal=False, along="column"))
+    row = float(variance_e2(readout, is_temporal=True, along="row"))
+    column = float(variance_e2(readout, is_temporal=False, along="column"))
     if not correction.is_on:
-        total = frame_variance_dn2(signal_e, integration_s, physics) / physics.dn_per_e**2
+        total = frame_variance_dn2(signal_e, integration_s, readout) / readout.dn_per_e**2
         return np.maximum(total - row - column, 0.0), column, row
-    total = np.asarray(residual_variance_e2(signal_e, integration_s, physics, correction).total)
+    total = np.asarray(residual_variance_e2(signal_e, integration_s, readout, correction).total)
     frames, rows = correction.dark_frames, correction.column_clamp
-    level = signal_e / flat_light_e(physics, correction, integration_s) if correction.flat_frames else np.zeros(1)
+    level = signal_e / flat_light_e(readout, correction, integration_s) if correction.flat_frames else np.zeros(1)
     pattern_left = float(np.mean((1 - level) ** 2))  # of what picture and flat frames have in common
     temporal = 1.0 + (pattern_left / frames if frames else 0.0)
     if correction.flat_frames:
@@ -239,10 +239,10 @@ def noise_of_expected_e2(
     row *= temporal
     column = 0.0 if frames else column * pattern_left
     if rows:
-        dark_e = physics.dark_current_e_per_s * integration_s
-        rounding_e2 = physics.rounding_variance_dn2 / physics.dn_per_e**2
-        of_rows = float(variance_e2(physics, dark_e + rounding_e2, is_temporal=True, along="pixel"))
-        of_pattern = float(variance_e2(physics, dark_e=dark_e, is_temporal=False, along="pixel"))
+        dark_e = readout.dark_current_e_per_s * integration_s
+        rounding_e2 = readout.rounding_variance_dn2 / readout.dn_per_e**2
+        of_rows = float(variance_e2(readout, dark_e + rounding_e2, is_temporal=True, along="pixel"))
+        of_pattern = float(variance_e2(readout, dark_e=dark_e, is_temporal=False, along="pixel"))
         column = (of_rows * temporal + (0.0 if frames else of_pattern * pattern_left)) / rows
     return np.maximum(total - row - column, 0.0), column, row
 
@@ -250,8 +250,8 @@ def noise_of_expected_e2(
 def wiener_responses(c: Developing) -> list[Array]:
     """Return the factors of the coefficients of each part of a raw frame (`Developing.parts`) that 'wiener_bound' has."""
     assert c.expected_e is not None
-    expected_e = np.minimum(c.expected_e, c.physics.saturation_e)
-    variance, column_e2, row_e2 = noise_of_expected_e2(expected_e, c.physics, c.frame.integration_s, c.imaging.correction)
+    expected_e = np.minimum(c.expected_e, c.readout.saturation_e)
+    variance, column_e2, row_e2 = noise_of_expected_e2(expected_e, c.readout, c.frame.integration_s, c.imaging.correction)
     found = []
     for expected, own in zip(c.parts(expected_e), c.parts(variance), strict=True):
         noise = wiener.noise_power(own, column_variance=column_e2, row_variance=row_e2)
@@ -306,7 +306,7 @@ def _denoise(picture: Array, c: Developing) -> Array:
             part[...] = wiener.filtered(part, factors)
         return picture
     assert develop.denoise != "none"
-    variance_e2_of_frame = white_noise_e2(c.physics, frame.integration_s, c.imaging.correction)
+    variance_e2_of_frame = white_noise_e2(c.readout, frame.integration_s, c.imaging.correction)
     for part in c.parts(picture):
         filtered = denoised_plane(part + frame.mean_dark_e, variance_e2_of_frame, develop.denoise, develop.denoise_strength)
         part[...] = filtered - frame.mean_dark_e
@@ -465,7 +465,7 @@ def developed_planes(c: Developing) -> list[Array]:
     """
     raw_e = c.frame.estimate_e
     if c.layout is not None:  # before noise reduction, which leaves less of a saturated pixel
-        full = np.asarray(raw_e >= SATURATED * c.physics.saturation_e - c.frame.mean_dark_e)
+        full = np.asarray(raw_e >= SATURATED * c.readout.saturation_e - c.frame.mean_dark_e)
         if c.frame.exposures > 1 and c.frame.saturated is not None:  # the sum hides that some of its exposures are full
             full |= c.frame.saturated
         c = replace(c, full=full)
@@ -484,10 +484,10 @@ def noise_covariance(c: Developing, levels: Array, dot_um: float | None, works_o
 
     Raises PixsimError for a step that has no closed form.
     """
-    physics, integration_s, layout = c.physics, c.frame.integration_s, c.layout
+    readout, integration_s, layout = c.readout, c.frame.integration_s, c.layout
     electrons = np.maximum(levels, 0.0) * c.white_e
-    of_columns_e, of_rows_e = (constant_e(physics, along=along) for along in ("column", "row"))
-    pixels = frame_variance_dn2(electrons, integration_s, physics) / physics.dn_per_e**2 - of_columns_e**2 - of_rows_e**2
+    of_columns_e, of_rows_e = (constant_e(readout, along=along) for along in ("column", "row"))
+    pixels = frame_variance_dn2(electrons, integration_s, readout) / readout.dn_per_e**2 - of_columns_e**2 - of_rows_e**2
     count = len(c.white_e)
     lines = np.full(count, of_columns_e), np.full(count, of_rows_e)
     is_mosaic = layout is not None and not layout.is_stacked
@@ -497,5 +497,5 @@ def noise_covariance(c: Developing, levels: Array, dot_um: float | None, works_o
             if step.of_noise is None or not (step.is_linear(c.develop) or step.name == "demosaic"):
                 raise invalid("the covariance of noise", f"develop.{step.name}, which is not linear", "linear steps")
             noise = step.of_noise(noise, c)
-    dot_px = None if dot_um is None else min(max(dot_um / physics.read_pitch_um, 1e-3), 1e3)
+    dot_px = None if dot_um is None else min(max(dot_um / readout.physics.read_pitch_um, 1e-3), 1e3)
     return noise.covariance(dot_px, c.imaging.display.interpolation)

@@ -18,7 +18,7 @@ from pixsim.sensor.collection import Collection, ColourCollection, shading_of
 from pixsim.sensor.colour import of_channels
 from pixsim.sensor.correction_options import NO_CORRECTION
 from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame, capture_from_rates, integration_time_s, lasting, make_frame, sample_sensor
 from pixsim.viewer import display as displays
 from pixsim.viewer.colour_matrix import metamerism_index
@@ -39,7 +39,7 @@ PATCH_DOTS, MIN_PATCH_PX, MAX_PATCH_PX = 48, 96, 256  # of uniform frames that t
 class Development:
     """How the frames of one pixel type become pictures on a screen, and their scores.
 
-    physics : of what is read, at the gain of the exposure
+    readout : how its pixels are read, at the gain of the exposure
     exposure : of the frames, whose time may be known
     signal_e_per_s : expected light of every value of a frame, (rows, columns)
     whites_e_per_s : electrons per second of the scene's white, on axis, in each channel
@@ -48,7 +48,7 @@ class Development:
     """
 
     imaging: Imaging
-    physics: PixelPhysics
+    readout: Readout
     exposure: Exposure
     signal_e_per_s: Array = field(repr=False)
     whites_e_per_s: tuple[float, ...]
@@ -59,7 +59,7 @@ class Development:
     @property
     def white_e_per_s(self) -> float:
         """Electrons per second of the scene's white on axis, in the mean over the channels' pixels."""
-        layout, whites = self.physics.layout, self.whites_e_per_s
+        layout, whites = self.readout.physics.layout, self.whites_e_per_s
         return whites[0] if layout is None else float((layout.shares * np.array(whites)).sum())
 
     @cached_property
@@ -83,14 +83,14 @@ class Development:
             return self._fitted_matrix()
         except PixsimError as error:
             hint = "" if self.collection is None else " Light between neighbours counts: larger pixels mix the channels less."
-            raise type(error)(f"pixels of {self.physics.read_pitch_um:g} µm: {error}{hint}") from None
+            raise type(error)(f"pixels of {self.readout.physics.read_pitch_um:g} µm: {error}{hint}") from None
 
     def _fitted_matrix(self) -> Array:
         assert self.rendition is not None
         develop = self.imaging.develop
         if develop.matrix != "noise_aware":
             return self.rendition.matrix(develop)
-        time_s = integration_time_s(self.exposure, self.physics, float(self.signal_e_per_s.max()))
+        time_s = integration_time_s(self.exposure, self.readout, float(self.signal_e_per_s.max()))
         return self.rendition.matrix(develop, self.channel_covariance(time_s))
 
     def channel_covariance(self, integration_s: float) -> Array:
@@ -102,15 +102,15 @@ class Development:
         if self.imaging.develop.adapts:
             return self._covariance_of_frames(integration_s)
         empty = np.zeros(self.signal_e_per_s.shape, np.int32)
-        frame = make_frame(empty, 0.0, self.signal_e_per_s, self.physics, lasting(self.exposure, integration_s))
+        frame = make_frame(empty, 0.0, self.signal_e_per_s, self.readout, lasting(self.exposure, integration_s))
         return noise_covariance(self.developing(frame, matrix=None), self.rendition.responses, self.screen.dot_um)
 
     def _covariance_of_frames(self, integration_s: float) -> Array:
         """Estimate `channel_covariance` by a frame of a uniform patch each, of a sensor of its own, without correction."""
-        layout, screen = self.physics.layout, self.screen
+        layout, screen = self.readout.physics.layout, self.screen
         assert self.rendition is not None
         assert layout is not None
-        pitch_um, cell = self.physics.read_pitch_um, max(layout.period)
+        pitch_um, cell = self.readout.physics.read_pitch_um, max(layout.period)
         dot_um = screen.dot_um or pitch_um
 
         # A patch of whole unit cells, and the dots in it but for those at its edges.
@@ -122,7 +122,7 @@ class Development:
 
         rates = np.maximum(self.rendition.responses, 0.0) * np.array(self.whites_e_per_s)
         exposure = lasting(self.exposure.steady, integration_s)
-        centred = replace(self.physics, pixel=self.physics.pixel.model_copy(update={"registration": None}))
+        centred = self.readout.with_physics(pixel=self.readout.physics.pixel.model_copy(update={"registration": None}))
         imaging = self.imaging.changed(correction=NO_CORRECTION)
         covariances = []
         for number, patch_rates in enumerate(rates):
@@ -131,7 +131,7 @@ class Development:
             sensor = sample_sensor(centred, signal.shape, stream(*key, "sensor"))
             frame = capture_from_rates(signal, sensor, exposure, stream(*key, "frame"))
             patch = replace(
-                self, imaging=imaging, physics=centred, exposure=exposure, signal_e_per_s=signal, screen=whole, collection=None
+                self, imaging=imaging, readout=centred, exposure=exposure, signal_e_per_s=signal, screen=whole, collection=None
             )
             planes = developed_planes(patch.developing(frame, matrix=None))
             at_phases = []
@@ -146,11 +146,11 @@ class Development:
 
     def colour_facts(self, integration_s: float) -> dict[str, Any]:
         """Return what score.json has of a colour sensor: its channels, matrix and noise in an exposure."""
-        layout = self.physics.layout
+        layout = self.readout.physics.layout
         assert self.rendition is not None
         assert layout is not None
         errors = self.rendition.errors(self.matrix)
-        dot_um, pitch_um = self.screen.dot_um, self.physics.read_pitch_um
+        dot_um, pitch_um = self.screen.dot_um, self.readout.physics.read_pitch_um
         whites_e = (np.array(self.whites_e_per_s) * integration_s).tolist()
         return {
             "layout": str(layout),
@@ -167,7 +167,7 @@ class Development:
     @property
     def sharpen_px(self) -> float:
         """Standard deviation, in pixels, of the blur of sharpening. Raises PixsimError for one that is too wide."""
-        develop, pitch_um = self.imaging.develop, self.physics.read_pitch_um
+        develop, pitch_um = self.imaging.develop, self.readout.physics.read_pitch_um
         if develop.sharpen_radius_cy_per_deg is None:
             return develop.sharpen_radius_px or 1.0
         dots = self.screen.display.samples_per_deg / (2 * math.pi * develop.sharpen_radius_cy_per_deg)
@@ -191,7 +191,7 @@ class Development:
         return Developing(
             frame,
             self.imaging,
-            self.physics,
+            self.readout,
             np.array(self.whites_e_per_s) * time_s,
             self.shading,
             self.screen.single,
@@ -248,7 +248,7 @@ class Development:
             image,
             screen.display,
             frame=frame,
-            physics=self.physics,
+            readout=self.readout,
             border_um=border_um,
             out_of_gamut=gamut,
         )

@@ -78,13 +78,13 @@ def expected_noise_power(development: Development, noise: RawNoise) -> Array:
 
 def _axis_power(development: Development, axis: int, count: int) -> AxisPower:
     """Return the factor of an axis, 0 along y or 1 along x, of `count` pixels."""
-    screen, physics = development.screen, development.physics
+    screen, readout = development.screen, development.readout
     sigma_px = development.sharpen_px if development.imaging.develop.sharpens else None
     if screen.display.raster == "one_to_one":
         return _power_of_dots(count, 1.0, 0.0, None, 0, sigma_px)
-    low_um = first_edge_um(screen.size_um[axis], count, physics.read_pitch_um, physics.registration[axis])
+    low_um = first_edge_um(screen.size_um[axis], count, readout.physics.read_pitch_um, readout.physics.registration[axis])
     degree = SPLINE_DEGREE[screen.display.interpolation]
-    return _power_of_dots(count, physics.read_pitch_um, low_um, screen.dot_edges_um[axis].tobytes(), degree, sigma_px)
+    return _power_of_dots(count, readout.physics.read_pitch_um, low_um, screen.dot_edges_um[axis].tobytes(), degree, sigma_px)
 
 
 @lru_cache(maxsize=4)  # the frames of a registration share them, and both axes of a square picture

@@ -33,7 +33,7 @@ def at_every_pixel(
     if collection is not None and shares:
         rows, columns = mean.shape
         mean = share_with_neighbours(mean, collection.shares) / collection.on_axis / collection.relative((rows, columns))
-    side = physics.as_read.bin_side
+    side = physics.pixel.bin_side
     return read_as_one(mean, side) / side**2
 
 
@@ -41,7 +41,7 @@ def aperture_means(rate: Array, light: PreparedScene, physics: PixelPhysics, sid
     """Return the mean of a rate over the aperture of every pixel, (rows, columns)."""
     picture_um = [count * light.sample_pitch_um for count in light.rate_e_per_s_um2.shape]
     _, size_um, first_um = array_on(picture_um, light.array_um, physics)
-    moves = Moves(LightSpectrum(rate), moving, physics.as_read.bin_side) if moving.is_on else None
+    moves = Moves(LightSpectrum(rate), moving, physics.pixel.bin_side) if moving.is_on else None
     total = integrate_pixels(
         rate, light.sample_pitch_um, physics.pitch_um, side_um, size_um=size_um, first_um=first_um, moves=moves
     )
@@ -62,7 +62,7 @@ def mixed_at_every_pixel(
         for channel_light, channel in zip(light.lights, collection.each, strict=True)
     ]
     flat_fields = [np.full(means[0].shape, rate) for rate in collection.rates]
-    side = physics.as_read.bin_side
+    side = physics.pixel.bin_side
     planes = []
     for weights in neighbours(collection.layout):
         recorded, white = (

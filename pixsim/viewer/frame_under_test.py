@@ -75,7 +75,7 @@ class FrameUnderTest:
         missing : gets the reason, by the metric's name, why one has no number
         """
         metrics = self.imaging.metrics.chosen
-        numbers = frame_statistics(self.development.physics, self.frame) | numbers_of(metrics, self, missing)
+        numbers = frame_statistics(self.development.readout, self.frame) | numbers_of(metrics, self, missing)
         return numbers | self.score.gamut if any(metric.is_delta_e for metric in metrics) else numbers
 
 

@@ -26,6 +26,7 @@ from pixsim.sensor.motion import border_with_room_um, velocity_um_per_s
 from pixsim.sensor.motion_options import STILL, Motion
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.technology import Technology, load_technology
 from pixsim.viewer.develop_options import DEVELOP, Develop
 from pixsim.viewer.display_options import Display
@@ -81,9 +82,9 @@ class Imaging:
         return derive(self.pixel, self.technology)
 
     @cached_property
-    def readout(self) -> PixelPhysics:
-        """The pixel as its exposure reads it."""
-        return self.physics.as_read.at_exposure(self.exposure)
+    def readout(self) -> Readout:
+        """How the exposure reads the pixel."""
+        return Readout.of(self.physics, self.exposure)
 
     @property
     def um_per_s(self) -> tuple[float, float]:
@@ -95,10 +96,10 @@ class Imaging:
         """Width on each side of the die that is not scored: `border_um`, or that of this pixel, with room for what moves."""
         if self.border_um is not None:
             return self.border_um
-        read = self.physics.as_read
+        border_um, pixels = self.physics.border_um, (self.pixel.pitch_um, self.pixel.bin_side)
         if not self.motion.is_on:
-            return read.border_um
-        return border_with_room_um(read.border_um, self.motion, self.exposure, self.camera, [(read.pitch_um, read.bin_side)])
+            return border_um
+        return border_with_room_um(border_um, self.motion, self.exposure, self.camera, [pixels])
 
     @property
     def pixel_key(self) -> tuple[str, ...]:
@@ -132,7 +133,7 @@ class Imaging:
         first = 0.0, 0.0
         if self.is_run:
             assert array_um is not None
-            rows, columns = pixels_on(array_um, self.physics.as_read.read_pitch_um)
+            rows, columns = pixels_on(array_um, self.physics.read_pitch_um)
             first = columns % 2 / 2, rows % 2 / 2
         return self._with_physics(self.physics.registered(repeat, first=first))
 

@@ -42,8 +42,8 @@ from pixsim.sensor.integration import (
 )
 from pixsim.sensor.motion import STANDING, Moving
 from pixsim.sensor.noise import variances_e2, without_source
-from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.quantities import MAX_CODE_BITS
+from pixsim.sensor.reading import Adc, Readout
 from pixsim.sensor.readout import Frame, lasting, make_frame
 from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.develop import white_y, xyz_weights
@@ -149,7 +149,7 @@ def noiseless_frame(chain: ImagingChain, integration_s: float) -> Frame:
     """Return the frame of the mean electrons, without noise, fixed pattern and rounding; as of a well without end."""
     exposure = lasting(chain.exposure, integration_s)
     empty = np.zeros(chain.signal_e_per_s.shape, np.int32)
-    frame = make_frame(empty, 0.0, chain.signal_e_per_s, chain.physics, exposure)
+    frame = make_frame(empty, 0.0, chain.signal_e_per_s, chain.readout, exposure)
     return replace(frame, corrected_e=(chain.signal_e_per_s * integration_s).astype(np.float32))
 
 
@@ -173,7 +173,7 @@ def variances_of(chain: ImagingChain, integration_s: float) -> dict[str, float]:
 
     Valid where nothing clips: at 0 DN and at the well a frame varies less.
     """
-    p, light_e = chain.physics, chain.signal_e_per_s * integration_s
+    p, light_e = chain.readout, chain.signal_e_per_s * integration_s
     dark_e = p.dark_current_e_per_s * integration_s
     of_sources = {name: float(np.mean(value)) for name, value in variances_e2(p, light_e=light_e, dark_e=dark_e).items()}
     of_dark = {DARK: dark_e} if dark_e > 0 else {}
@@ -181,29 +181,29 @@ def variances_of(chain: ImagingChain, integration_s: float) -> dict[str, float]:
     return {ROUNDING: p.rounding_variance_dn2 / p.dn_per_e**2} | found | {SHOT: float(np.mean(light_e))}
 
 
-def finer_adc(physics: PixelPhysics) -> PixelPhysics:
-    """Return the pixel with an ADC of the same range that rounds 256 times finer, as far as codes have the bits."""
-    more = min(MORE_BITS, MAX_CODE_BITS - physics.code_bits)
-    finer = {"bits": physics.pixel.bits + more, "black_level_dn": physics.pixel.black_level_dn * 2**more}
-    gain_e_per_dn = physics.amplification / physics.dn_per_e / 2**more
-    return replace(physics, pixel=physics.pixel.model_copy(update=finer), gain_e_per_dn=gain_e_per_dn)
+def finer_adc(readout: Readout) -> Readout:
+    """Return the readout with an ADC of the same range that rounds 256 times finer, as far as codes have the bits."""
+    adc, more = readout.adc, min(MORE_BITS, MAX_CODE_BITS - readout.code_bits)
+    gain_e_per_dn = readout.amplification / readout.dn_per_e / 2**more
+    finer = Adc(adc.bits + more, adc.black_level_dn * 2**more, gain_e_per_dn=gain_e_per_dn)
+    return replace(readout, adc=finer)
 
 
 def noise_steps(chain: ImagingChain, noiseless: Frame, variances: Iterable[str], key: tuple[object, ...]) -> Steps:
     """Yield each cause of noise, in the order of `variances`, and noise reduction, with the mean ΔE that is left."""
     exposure = lasting(chain.exposure, noiseless.integration_s)
-    physics = chain.physics
+    readout = chain.readout
     for name in variances:
         if name == SHOT:
             yield name, chain.development.score(noiseless).mean_delta_e
             continue
         if name == ROUNDING:
-            physics = finer_adc(physics)
+            readout = finer_adc(readout)
         elif name == DARK:
-            physics = replace(physics, dark_current_e_per_s=0.0)
+            readout = readout.with_physics(dark_current_e_per_s=0.0)
         else:
-            physics = without_source(physics, name)
-        yield name, replace(chain, physics=physics, exposure=exposure).simulate(*key).mean_delta_e
+            readout = without_source(readout, name)
+        yield name, replace(chain, readout=readout, exposure=exposure).simulate(*key).mean_delta_e
     if chain.imaging.develop.denoises:
         yield REDUCTION, undenoised(chain).development.score(noiseless).mean_delta_e
 

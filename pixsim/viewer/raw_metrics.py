@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +17,7 @@ from pixsim.sensor.code_moments import COARSE_DN, FARTHEST_SIGMAS, moments_of_co
 from pixsim.sensor.integration import M2_PER_UM2, electrons_per_joule, split_by_veil
 from pixsim.sensor.noise import constant_e, variance_e2
 from pixsim.sensor.photodiode import responds_linearly, saturation_level_e, stored_signal_e
-from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.reading import Readout
 from pixsim.viewer.chain import ExpectedFrame
 from pixsim.viewer.display import white_cd_per_m2
 from pixsim.viewer.frame_under_test import FrameUnderTest
@@ -47,25 +46,25 @@ TABLE_POINTS = 1025
 HIGHEST_CY_PER_PX = 4.0  # of the table of the MTF: the corner of the second aliases is at 3.5
 
 
-def variance_of_pixels_e2(physics: PixelPhysics, signal_e: Array | float, time_s: float) -> Array:
+def variance_of_pixels_e2(readout: Readout, signal_e: Array | float, time_s: float) -> Array:
     """Return the variance that a pixel has alone, with its fixed pattern and the quantisation, in the shape of the signal."""
-    p = physics
+    p = readout
     dark_e = p.dark_current_e_per_s * time_s
     alone = variance_e2(p, signal_e + dark_e, light_e=signal_e, dark_e=dark_e, along="pixel")
     return np.asarray(alone + p.rounding_variance_dn2 / p.dn_per_e**2)
 
 
-def full_e(physics: PixelPhysics, time_s: float) -> float:
+def full_e(readout: Readout, time_s: float) -> float:
     """Return the signal at which the well is full, or the codes end, in electrons; 0 where dark charge alone does it."""
-    p = physics
+    p = readout
     dark_e = p.dark_current_e_per_s * time_s
     top_e = (p.top_code_dn - p.black_level_dn) / p.dn_per_e - dark_e  # `frame_mean_dn` is linear
     return max(min(saturation_level_e(time_s, p) - dark_e, top_e), 0.0)
 
 
-def clips(physics: PixelPhysics, signal_e: Array, time_s: float) -> NDArray[np.bool_]:
+def clips(readout: Readout, signal_e: Array, time_s: float) -> NDArray[np.bool_]:
     """Return which pixels of an expected signal are at the end of the well or of the codes."""
-    return np.asarray(signal_e >= full_e(physics, time_s))
+    return np.asarray(signal_e >= full_e(readout, time_s))
 
 
 class CodeTable(NamedTuple):
@@ -105,14 +104,14 @@ class ClippedExposure:
     It takes the noise of the charge, before the well, and that behind it as normal. Each exposure of a burst clips by itself.
     """
 
-    def __init__(self, physics: PixelPhysics, time_s: float) -> None:
-        p = physics.burst(1)
-        is_soft = p.diode is not None and p.pixel.well_limit != "swing"
-        self.count = physics.exposures
+    def __init__(self, readout: Readout, time_s: float) -> None:
+        p = readout.burst(1)
+        is_soft = p.physics.diode is not None and p.physics.pixel.well_limit != "swing"
+        self.count = readout.exposures
         self.time_s = time_s / self.count
-        self.physics = p
-        if not responds_linearly(p):  # frames are taken to respond linearly up to the well, as by `frame_mean_dn`
-            self.physics = replace(p, pixel=p.pixel.model_copy(update={"conversion": "linear"}))
+        self.readout = p
+        if not responds_linearly(p.physics):  # frames are taken to respond linearly up to the well, as by `frame_mean_dn`
+            self.readout = p.with_physics(pixel=p.physics.pixel.model_copy(update={"conversion": "linear"}))
         self.dark_e = p.dark_current_e_per_s * self.time_s
         self.black_e = p.black_level_dn / p.dn_per_e
         self.top_e = p.top_code_dn / p.dn_per_e - self.black_e  # charge at the top code
@@ -123,7 +122,7 @@ class ClippedExposure:
 
     def gains_e2(self, signal_e: Array | float) -> Array:
         """Return the variance of the charge by PRNU and DSNU, which all exposures share."""
-        fixed_e2 = variance_e2(self.physics, light_e=signal_e, dark_e=self.dark_e, along="pixel", is_temporal=False)
+        fixed_e2 = variance_e2(self.readout, light_e=signal_e, dark_e=self.dark_e, along="pixel", is_temporal=False)
         return np.maximum(fixed_e2 - self.offset_fpn_e2, 0.0)
 
     def charge_e2(self, signal_e: Array | float) -> Array:
@@ -152,7 +151,7 @@ class ClippedExposure:
 
         with_gains : whether PRNU and DSNU are among the noise
         """
-        p = self.physics
+        p = self.readout
         charge_e = signal_e + self.dark_e
         charge_e2 = self.charge_e2(signal_e) if with_gains else charge_e
         is_filled = (charge_e + FARTHEST_SIGMAS * np.sqrt(charge_e2)).max() >= self.well_e
@@ -170,7 +169,7 @@ class ClippedExposure:
 
         Full wells have one charge. Below it, panels end where the read noise begins to reach the top code.
         """
-        p, read_e = self.physics, math.sqrt(self.read_e2)
+        p, read_e = self.readout, math.sqrt(self.read_e2)
         sigma_e = np.maximum(sigma_e, LEAST)  # of no charge, too
         full_at = np.clip((self.clip_e - charge_e) / sigma_e, -FARTHEST_SIGMAS, FARTHEST_SIGMAS)
         ends_e = np.array([self.top_e - FARTHEST_SIGMAS * read_e, self.top_e + FARTHEST_SIGMAS * read_e])
@@ -199,7 +198,7 @@ class ClippedExposure:
 
     def _read(self, stored_e: Array, coarse_dn: float) -> tuple[Array, Array, Array]:
         """Return `moments_of_codes` of stored charges, (n,)."""
-        p = self.physics
+        p = self.readout
         sigma_dn = np.full(stored_e.shape, max(p.dn_per_e * math.sqrt(self.read_e2), LEAST))
         return moments_of_codes(p.dn_per_e * (self.black_e + stored_e), sigma_dn, p.top_code_dn, coarse_dn=coarse_dn)
 
@@ -233,14 +232,14 @@ class ClippedExposure:
 
 def cached_codes(frame: ExpectedFrame, name: str, compute: Callable[[], CodeTable]) -> CodeTable:
     """Return a table that frames of one time and pixel share."""
-    physics = frame.physics
-    key = name, frame.integration_s, physics.gain_db, physics.exposures, *frame.imaging.pixel_key
+    readout = frame.readout
+    key = name, frame.integration_s, readout.gain_db, readout.exposures, *frame.imaging.pixel_key
     return frame.light.cached(key, compute)
 
 
 def bottom_table(frame: ExpectedFrame, darkest_e: float) -> CodeTable | None:
     """Return the table of signals near code 0; None if the noise of the darkest one does not reach it."""
-    exposure = ClippedExposure(frame.physics, frame.integration_s)
+    exposure = ClippedExposure(frame.readout, frame.integration_s)
     if not exposure.reaches_0(darkest_e / exposure.count):
         return None
 
@@ -256,7 +255,7 @@ def bottom_table(frame: ExpectedFrame, darkest_e: float) -> CodeTable | None:
 
 def top_table(frame: ExpectedFrame, brightest_e: float) -> CodeTable | None:
     """Return the table of signals near the full well or the top code; None if the noise of the brightest does not reach either."""
-    exposure = ClippedExposure(frame.physics, frame.integration_s)
+    exposure = ClippedExposure(frame.readout, frame.integration_s)
     if not exposure.reaches_top(brightest_e / exposure.count):
         return None
 
@@ -309,7 +308,7 @@ def expected_e(frame: ExpectedFrame, signal_e: Array) -> Array:
 def _d_prime(frame: ExpectedFrame) -> float:
     """Return d′ of the ideal linear observer in such frames: a signal-to-noise ratio, also where pixels clip."""
     assert frame.background_e is not None
-    p, with_e, without_e = frame.physics, frame.signal_e, frame.background_e
+    p, with_e, without_e = frame.readout, frame.signal_e, frame.background_e
     difference = with_e - without_e
     # The mean variance of both: that of the mean signal, and of what grows with the square of it half of the difference squared.
     spread = float(np.mean(variance_e2(p, light_e=1.0, along="pixel"))) - float(np.mean(variance_e2(p, along="pixel")))
@@ -318,7 +317,7 @@ def _d_prime(frame: ExpectedFrame) -> float:
     unrounded_dn2 = p.dn_per_e**2 * float(variance.min()) - p.rounding_variance_dn2
     sigma_dn = math.sqrt(max(unrounded_dn2, 0.0) / p.exposures)  # of an exposure, before it is rounded
     if sigma_dn < LEAST_SIGMA_DN:
-        got = f"noise of {sigma_dn:.2g} DN in pixels of {p.pitch_um:g} µm, which the ADC rounds away"
+        got = f"noise of {sigma_dn:.2g} DN in pixels of {p.physics.pitch_um:g} µm, which the ADC rounds away"
         hint = "Take more bits (pixel.bits) or more gain (exposure.gain_db)."
         allowed = f"at least {LEAST_SIGMA_DN:g} DN, so that rounding is noise"
         raise NoNumberError(str(invalid("the metric detectability", got, allowed, hint)))
@@ -346,12 +345,12 @@ def contrast_factor(frame: ExpectedFrame, d_prime: float) -> tuple[float, str]:
     d′ is proportional to a small contrast, where no picture clips. Without a factor it is `FARTHEST`; with one the reason is empty.
     """
     assert frame.background_e is not None
-    options, physics, time_s = frame.imaging.metrics.options.detectability, frame.physics, frame.integration_s
+    options, readout, time_s = frame.imaging.metrics.options.detectability, frame.readout, frame.integration_s
     background_e = frame.background_e
     difference_e = frame.signal_e - background_e
     if not difference_e.any():
         return FARTHEST, "the target changes no pixel"
-    if clips(physics, background_e.max(), time_s):
+    if clips(readout, background_e.max(), time_s):
         return FARTHEST, "pixels are full without the target"
 
     factor = min(options.threshold / d_prime, FARTHEST) if d_prime else FARTHEST
@@ -361,7 +360,7 @@ def contrast_factor(frame: ExpectedFrame, d_prime: float) -> tuple[float, str]:
         return FARTHEST, "a target cannot be darker than black"
 
     # A target that is full now has a d′ from which no factor follows.
-    if clips(physics, (background_e + max(factor, 1.0) * difference_e).max(), time_s):
+    if clips(readout, (background_e + max(factor, 1.0) * difference_e).max(), time_s):
         return FARTHEST, f"pixels are full with {'the target' if factor <= 1 else 'that much contrast'}"
     return factor, ""
 
@@ -421,8 +420,8 @@ def sensor_terms(frame: ExpectedFrame) -> tuple[Array, dict[str, Array]]:
     """Return frequencies in cycles/mm on the sensor, and the MTF of each term up to it along an axis; the same for all frames."""
 
     def compute() -> tuple[Array, dict[str, Array]]:
-        physics = frame.physics
-        along = np.linspace(0.0, HIGHEST_CY_PER_PX * 1e3 / physics.read_pitch_um, TABLE_POINTS)
+        readout = frame.readout
+        along = np.linspace(0.0, HIGHEST_CY_PER_PX * 1e3 / readout.physics.read_pitch_um, TABLE_POINTS)
         return along, of_sensor(mtf_terms(frame.imaging, frame.light.mean, along))
 
     return frame.light.cached(("terms", *frame.imaging.pixel_key), compute)
@@ -462,7 +461,7 @@ def scene_power(frame: ExpectedFrame) -> tuple[Array, Array, Array]:
     options = frame.imaging.metrics.options.information
 
     def compute() -> tuple[Array, Array, Array]:
-        pitch_um = frame.physics.read_pitch_um
+        pitch_um = frame.readout.physics.read_pitch_um
         axis = np.linspace(-500.0 / pitch_um, 500.0 / pitch_um, POINTS)
         corner = options.corner_cy_per_mm or 1 / frame.imaging.camera.die_mm
         level = options.contrast**2 / (2 * math.pi * math.log(2))  # of an octave: 2π C ln 2
@@ -493,7 +492,7 @@ class Veiled(NamedTuple):
 
 def veiled(frame: ExpectedFrame) -> Veiled:
     """Return what veiling glare makes of the light of a frame."""
-    camera, physics, light = frame.imaging.camera, frame.physics, frame.light.mean
+    camera, physics, light = frame.imaging.camera, frame.readout.physics, frame.light.mean
     if not camera.veiling_glare:
         return Veiled(1.0, 0.0)
 
@@ -531,7 +530,7 @@ def mean_level(frame: ExpectedFrame) -> MeanLevel:
             return MeanLevel(0.0, 0.0, math.inf)
         share, mean_e = total**2 / (slope.size * float((slope**2).sum())), float((slope * signal_e).sum()) / total
     level_e = np.array(mean_e)
-    variance_e2 = variance_of_pixels_e2(frame.physics, mean_e, frame.integration_s)
+    variance_e2 = variance_of_pixels_e2(frame.readout, mean_e, frame.integration_s)
     tables = code_tables(frame, level_e)
     if not tables:
         return MeanLevel(share, mean_e, float(variance_e2))
@@ -553,7 +552,7 @@ def _information(judged: FrameUnderTest) -> tuple[float, float, float, float]:
         return 0.0, 0.0, nothing, nothing
     if options.spectrum == "natural":  # the scene's own picture has its veil
         mean_e *= 1 - veiled(frame).stray
-    noise = variance_e2 * (1e-3 * frame.physics.read_pitch_um) ** 2
+    noise = variance_e2 * (1e-3 * frame.readout.physics.read_pitch_um) ** 2
 
     def bits_per_mm2(contrast: float) -> float:
         """Return the information of the whole sensor at a contrast of the scene."""
@@ -571,11 +570,11 @@ def neq_along(frame: ExpectedFrame) -> tuple[Array, Array]:
 
     Signal, noise and MTF are those of the metric information, of the pixels that are not full; NaN where all of them are.
     """
-    frequency = np.linspace(0.0, 500.0 / frame.physics.read_pitch_um, POINTS)
+    frequency = np.linspace(0.0, 500.0 / frame.readout.physics.read_pitch_um, POINTS)
     share, mean_e, variance_e2 = mean_level(frame)
     if not share:
         return frequency, np.full(POINTS, np.nan)
-    noise = variance_e2 * (1e-3 * frame.physics.read_pitch_um) ** 2
+    noise = variance_e2 * (1e-3 * frame.readout.physics.read_pitch_um) ** 2
     return frequency, neq(np.abs(sensor_mtf(frame, frequency, np.zeros(1))), noise, mean_e * (1 - veiled(frame).stray))
 
 
@@ -632,22 +631,22 @@ MTF50 = Metric(
 
 def _snr10_lx(judged: FrameUnderTest) -> tuple[float]:
     frame, options = judged.expected, judged.options.snr10_lx
-    physics, development = frame.physics, frame.development
-    across = max(1.0, (development.screen.dot_um or physics.read_pitch_um) / physics.read_pitch_um)
+    readout, development = frame.readout, frame.development
+    across = max(1.0, (development.screen.dot_um or readout.physics.read_pitch_um) / readout.physics.read_pitch_um)
     found = snr10_lx(
         development.white_e_per_s * options.integration_s,
         white_cd_per_m2(frame.light.mean, development.screen.display),
         reflectance=options.reflectance,
-        dark_variance_e2=float(variance_of_pixels_e2(physics, 0.0, options.integration_s))
+        dark_variance_e2=float(variance_of_pixels_e2(readout, 0.0, options.integration_s))
         # A dot is the mean of as many offsets of rows, and of columns, as pixels along its side, not as pixels.
-        + across * sum(float(np.mean(variance_e2(physics, along=along))) for along in ("column", "row")),
-        prnu=physics.prnu,
+        + across * sum(float(np.mean(variance_e2(readout, along=along))) for along in ("column", "row")),
+        prnu=readout.prnu,
         pixels_per_dot=across**2,
         snr=options.snr,
-        saturation_e=physics.saturation_e,
+        saturation_e=readout.saturation_e,
     )
     if found is None:
-        got = f"pixels of {physics.pitch_um:g} µm, which have it in no light"
+        got = f"pixels of {readout.physics.pitch_um:g} µm, which have it in no light"
         allowed = f"pixels that reach an SNR of {options.snr:g} per dot"
         raise NoNumberError(str(invalid("the metric snr10_lx", got, allowed, "Lower metric.snr10_lx.snr.")))
     return (found,)
@@ -672,22 +671,22 @@ SNR10_LX = Metric(
 
 def _niirs(judged: FrameUnderTest) -> tuple[float]:
     frame, options, time_s = judged.expected, judged.options.niirs, judged.frame.integration_s
-    physics, camera = frame.physics, frame.imaging.camera
+    readout, camera = frame.readout, frame.imaging.camera
     along, mtf = _mtf_along(frame)
-    rer = relative_edge_response(along * 1e-3 * physics.read_pitch_um, mtf)
+    rer = relative_edge_response(along * 1e-3 * readout.physics.read_pitch_um, mtf)
     veil = veiled(frame)
     stray_e = veil.stray * float(frame.development.signal_e_per_s.mean()) * time_s
     white_e = veil.kept * frame.white_e
     darker_e, brighter_e = (white_e * reflectance + stray_e for reflectance in sorted(options.reflectances))
-    if brighter_e >= (most_e := full_e(physics, time_s)):
-        got = f"{brighter_e:.3g} e- of the brighter surface in pixels of {physics.pitch_um:g} µm, full at {most_e:.3g} e-"
+    if brighter_e >= (most_e := full_e(readout, time_s)):
+        got = f"{brighter_e:.3g} e- of the brighter surface in pixels of {readout.physics.pitch_um:g} µm, full at {most_e:.3g} e-"
         allowed = "surfaces that the frame tells apart"
         raise NoNumberError(str(invalid("the metric niirs", got, allowed, "Expose it for less time.")))
-    noise_e2 = float(variance_of_pixels_e2(physics, brighter_e, time_s))
-    noise_e2 += sum(float(np.mean(variance_e2(physics, along=along))) for along in ("column", "row"))
+    noise_e2 = float(variance_of_pixels_e2(readout, brighter_e, time_s))
+    noise_e2 += sum(float(np.mean(variance_e2(readout, along=along))) for along in ("column", "row"))
     distance_m = options.ground_distance_m
     reduction = 1 / abs(camera.magnification) if distance_m is None else 1e3 * distance_m / camera.image_distance_mm
-    ground_m = 1e-6 * physics.read_pitch_um * reduction
+    ground_m = 1e-6 * readout.physics.read_pitch_um * reduction
     return (niirs(rer, ground_m, (brighter_e - darker_e) / math.sqrt(noise_e2)),)
 
 

@@ -147,7 +147,7 @@ class PreparedScene:
     def whites_e_per_s(self, physics: PixelPhysics) -> tuple[float, ...]:
         """Return the electrons per second of the scene's white in a value of each channel on axis, without crosstalk of colours."""
         whites = zip(self.whites_e_per_s_um2, self.lights, physics.channels, strict=True)
-        count = physics.as_read.bin_side**2
+        count = physics.pixel.bin_side**2
         return tuple(white * collected_area_um2(channel, light.illumination) * count for white, light, channel in whites)
 
     def collection(self, physics: PixelPhysics, collections: Sequence[Collection]) -> ColourCollection:
@@ -156,7 +156,7 @@ class PreparedScene:
         assert layout is not None
         last = self._collections[-1] if self._collections else None
         if last is None or any(one is not other for one, other in zip(last.each, collections, strict=True)):
-            side = physics.as_read.bin_side
+            side = physics.pixel.bin_side
             # The registrations of a pitch, which follow one another, share what is expensive of it.
             self._collections[:] = [ColourCollection(layout, tuple(collections), self.whites_e_per_s_um2, physics.pitch_um, side)]
         return self._collections[-1]
@@ -300,7 +300,7 @@ class RecentScenes:
         key_of_light = id(irradiance), content_hash(records), electrons
 
         white = tuple(irradiance.header.get(name) for name in HEADER_OF_WHITE.values())
-        geometry = physics.as_read.read_pitch_um, imaging.scored_border_um, physics.registration
+        geometry = physics.read_pitch_um, imaging.scored_border_um, physics.registration
         screen = imaging.display.content_hash, imaging.develop.content_hash, imaging.full, imaging.single, white
         key = key_of_light, geometry, screen, imaging.metrics.needs_light, id(light.background)
         if key not in self._scenes:

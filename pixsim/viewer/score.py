@@ -12,6 +12,7 @@ from pixsim.base.arguments import Bounds, NotNegative, checks_arguments, checks_
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame
 from pixsim.show.document import pairs
 from pixsim.show.figures import new_figure, own_style
@@ -103,17 +104,22 @@ class FrameScore(Score):
     """The score of a sensor's frame.
 
     frame : the sensor frame that the image shows
-    physics : of the pixel
+    readout : how the pixels are read
     border_um : (above and below, left and right) width of the border that is neither shown nor scored
     out_of_gamut : share of the dots of the ideal image and of the image whose colour the display cannot show; None for grey ones
     light : what is known of the errors of its light
     """
 
     frame: Frame = field(repr=False, kw_only=True)
-    physics: PixelPhysics = field(repr=False, kw_only=True)
+    readout: Readout = field(repr=False, kw_only=True)
     border_um: tuple[NotNegative, NotNegative] = field(default=(0.0, 0.0), kw_only=True)
     out_of_gamut: tuple[float, float] | None = field(default=None, kw_only=True)
     light: LightError = field(default=NOTHING_KNOWN, repr=False, kw_only=True)
+
+    @property
+    def physics(self) -> PixelPhysics:
+        """Physical properties of the pixel."""
+        return self.readout.physics
 
     @property
     def gamut(self) -> dict[str, float]:
@@ -123,7 +129,7 @@ class FrameScore(Score):
 
     def statistics(self) -> dict[str, float]:
         """Return the numbers of score.json, with the unit in each name."""
-        return frame_statistics(self.physics, self.frame) | super().statistics() | self.gamut
+        return frame_statistics(self.readout, self.frame) | super().statistics() | self.gamut
 
     def _repr_html_(self) -> str:
         title = f"{self.physics.pitch_um:g} µm pixels, mean ΔE {self.light.shown(self.mean_delta_e)}"
@@ -142,13 +148,12 @@ class FrameScore(Score):
         return f"<Score mean ΔE {self.light.shown(self.mean_delta_e)}, {'; '.join(filter(None, words))}>"
 
 
-def frame_statistics(physics: PixelPhysics, frame: Frame) -> dict[str, float]:
+def frame_statistics(readout: Readout, frame: Frame) -> dict[str, float]:
     """Return the numbers of a row that no metric gives: of the pixel and of the frame."""
-    p = physics
     return {
-        "pitch_um": p.pitch_um,
-        "fill_factor": p.fill_factor,
-        "full_well_e": p.full_well_e,
+        "pitch_um": readout.physics.pitch_um,
+        "fill_factor": readout.physics.fill_factor,
+        "full_well_e": readout.full_well_e,
         "integration_s": frame.integration_s,
         "saturated_fraction": frame.saturated_fraction,
         "mean_electrons_e": float(frame.mean_e.mean()),

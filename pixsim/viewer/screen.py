@@ -128,14 +128,14 @@ def ideal_on_dots(
     rendition : of a colour sensor
     """
     irradiance = ideal_light(irradiance, imaging.camera)
-    read = imaging.physics.as_read
+    physics = imaging.physics
     edges_um = displays.dot_edges_um(
         displays.picture_size_um(irradiance),
-        read.read_pitch_um,
+        physics.read_pitch_um,
         imaging.display,
         imaging.scored_border_um,
         array_size_um(irradiance, imaging.camera),
-        read.registration,
+        physics.registration,
     )
     if rendition is None:
         return edges_um, displays.ideal_luminance(imaging, irradiance, edges_um)

@@ -34,7 +34,7 @@ FLIP_PACKAGE = "flip_evaluator"
 def _acutance(judged: FrameUnderTest) -> tuple[float]:
     frame, imaging, development = judged.expected, judged.imaging, judged.development
     display, develop, screen = imaging.display, imaging.develop, development.screen
-    pitch_um = development.physics.read_pitch_um
+    pitch_um = development.readout.physics.read_pitch_um
     mm_per_deg = 1e-3 * display.samples_per_deg * (screen.dot_um or pitch_um)
     frequency = np.linspace(0.0, display.samples_per_deg / 2, POINTS)
     on_sensor = frequency / mm_per_deg
@@ -81,12 +81,12 @@ def _visual_noise(judged: FrameUnderTest) -> tuple[float]:
 
     key = (*judged.stream, "visual noise")
     rows, columns = uniform.shape
-    sensor = sample_sensor(development.physics, (rows, columns), stream(*key, "sensor"))
+    sensor = sample_sensor(development.readout, (rows, columns), stream(*key, "sensor"))
     frame = capture_from_rates(uniform, sensor, lasting(development.exposure.steady, time_s), stream(*key, "frame"))
     if correction.is_on:
         frame = correct(frame, sensor, correction, stream(*key, "correction"), flat_field, None)
     if frame.saturated_fraction > FEW_FULL:
-        full = f"{frame.saturated_fraction:.0%} of the pixels of {development.physics.pitch_um:g} µm full"
+        full = f"{frame.saturated_fraction:.0%} of the pixels of {development.readout.physics.pitch_um:g} µm full"
         allowed = f"at most {FEW_FULL:.0%} in a patch of {GREY:.0%} of white, whose noise shows"
         raise NoNumberError(str(invalid("the metric visual_noise", full, allowed, "Expose it for less time.")))
     return (visual_noise(development.light(frame), imaging.display.samples_per_deg),)
@@ -159,13 +159,13 @@ def raw_noise(frame: ExpectedFrame, signal_e: Array) -> RawNoise:
 
     signal_e : (rows, columns) of light, before anything clips
     """
-    physics, time_s, development = frame.physics, frame.integration_s, frame.development
+    readout, time_s, development = frame.readout, frame.integration_s, frame.development
     correction = frame.imaging.correction
-    level_e = np.minimum(signal_e, full_e(physics, time_s))
-    pixel, column, row = noise_of_expected_e2(level_e, physics, time_s, correction)
+    level_e = np.minimum(signal_e, full_e(readout, time_s))
+    pixel, column, row = noise_of_expected_e2(level_e, readout, time_s, correction)
     tables = code_tables(frame, signal_e)
     if tables:
-        unclipped = variance_of_pixels_e2(physics, level_e, time_s)
+        unclipped = variance_of_pixels_e2(readout, level_e, time_s)
         clipped = code_moments(tables, signal_e, unclipped)
         pixel = np.maximum(pixel - (unclipped - clipped.variance_e2), 0.0)
         of_offsets = float(np.mean(np.square(clipped.offset_slope)))
@@ -192,7 +192,7 @@ def _as_drawn(drawn: Frame, frame: ExpectedFrame, electrons: Array) -> Frame:
         mean_e=electrons,
         corrected_e=corrected.astype(np.float32),
         integration_s=frame.integration_s,
-        registration=frame.physics.registration,
+        registration=frame.readout.physics.registration,
         saturated=None,
     )
 

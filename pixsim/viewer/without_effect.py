@@ -31,6 +31,7 @@ from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame, integration_time_s
 from pixsim.sensor.technology import load_technology
 from pixsim.viewer import display as displays
@@ -160,7 +161,7 @@ class SmallLight:
     def of(cls, imaging: Imaging, picture: SpectralImage | None = None) -> SmallLight:
         """Return the small light for settings; `picture` is light that is given, whose bands it has."""
         physics, camera = imaging.physics, imaging.camera
-        read_um = physics.as_read.read_pitch_um
+        read_um = physics.read_pitch_um
         size_um = camera.die_um if picture is None else displays.picture_size_um(picture)
         aspect = min(max(size_um[0] / size_um[1], MIN_ASPECT), MAX_ASPECT)
         width_um = PIXELS * read_um
@@ -193,7 +194,7 @@ class SmallLight:
 
     def _brightness(self, imaging: Imaging) -> float:
         """Return by what the light is multiplied so that no pixel is full, and automatic exposures are long."""
-        physics, exposure = imaging.readout, imaging.exposure
+        readout, exposure = imaging.readout, imaging.exposure
         assert self.light.factors is not None
         spectrum = self.light.factors[0].mean(axis=0)
         electrons = [
@@ -201,21 +202,21 @@ class SmallLight:
             * collecting_area_um2(self.light, imaging.camera, channel)
             for channel in imaging.physics.channels
         ]
-        of_unit_e_per_s = 1e-12 * max(electrons) * physics.bin_side**2
+        of_unit_e_per_s = 1e-12 * max(electrons) * readout.bin_side**2
         if not of_unit_e_per_s > 0:  # pixels that see nothing of it are refused elsewhere
             return 1.0
 
         if exposure.integration_s is None:
-            well_e = exposure.well_target * physics.saturation_e
+            well_e = exposure.well_target * readout.saturation_e
             time_s = PART_OF_LONGEST * exposure.times * exposure.max_integration_s
             if exposure.flicker_hz is not None:  # in many periods lamps are steady
                 time_s = min(time_s, PART_OF_LONGEST / exposure.flicker_hz)
-            if physics.dark_current_e_per_s * time_s > PART_OF_WELL * well_e:
-                time_s = PART_OF_WELL * well_e / physics.dark_current_e_per_s
+            if readout.dark_current_e_per_s * time_s > PART_OF_WELL * well_e:
+                time_s = PART_OF_WELL * well_e / readout.dark_current_e_per_s
         else:
-            well_e = PART_OF_WELL * physics.saturation_e
+            well_e = PART_OF_WELL * readout.saturation_e
             time_s = exposure.times * exposure.integration_s
-        light_e = max(well_e - physics.dark_current_e_per_s * time_s, MIN_PART_OF_WELL * well_e)
+        light_e = max(well_e - readout.dark_current_e_per_s * time_s, MIN_PART_OF_WELL * well_e)
         return light_e / time_s / of_unit_e_per_s
 
     def _white(self, imaging: Imaging) -> dict[str, float]:
@@ -265,7 +266,7 @@ class SmallLight:
             develop=develop,
             display=display,
             motion=motion,
-            border_um=imaging.physics.as_read.border_um,
+            border_um=imaging.physics.border_um,
             single=False,
             is_run=False,
         )
@@ -287,8 +288,8 @@ class SmallLight:
 
     def prepared(self, imaging: Imaging) -> PreparedScene:
         """Return the light behind the lens, and the ideal picture."""
-        read, develop, metrics = imaging.physics.as_read, imaging.develop, imaging.metrics
-        pixels = str(imaging.physics.layout), read.read_pitch_um, read.border_um, read.registration
+        physics, develop, metrics = imaging.physics, imaging.develop, imaging.metrics
+        pixels = str(physics.layout), physics.read_pitch_um, physics.border_um, physics.registration
         tone = develop.tone_curve, develop.tone_gamma, develop.tone_white
         key = (*self._seen_from(imaging), pixels, imaging.display.model_dump_json(), tone, metrics.chosen, metrics.needs_light)
         if key not in self._prepared:
@@ -340,8 +341,8 @@ class SmallFrame:
         return self.chain.capture(*STREAM)
 
     @property
-    def read(self) -> PixelPhysics:
-        """The pixel as it is read."""
+    def readout(self) -> Readout:
+        """How the pixel is read."""
         return self.imaging.readout
 
     @cached_property
@@ -355,27 +356,27 @@ class SmallFrame:
             frame = make_chain(self.imaging, prepared, room_is_checked=True).capture(*STREAM)
         count = frame.exposures
         charge_e = (frame.mean_e + frame.mean_dark_e) / count
-        return count * stored_signal_e(charge_e, frame.integration_s / count, self.read.burst(1))
+        return count * stored_signal_e(charge_e, frame.integration_s / count, self.readout)
 
     @cached_property
     def time_s(self) -> float:
         """Integration time of a frame of the base's light."""
-        return integration_time_s(self.imaging.exposure, self.physics.as_read, float(self.base.chain.signal_e_per_s.max()))
+        return integration_time_s(self.imaging.exposure, self.readout, float(self.base.chain.signal_e_per_s.max()))
 
     def variance_e2(self, light_e: Array) -> Array:
         """Return the variance of a corrected pixel over frames and sensors, in the shape (...) of the mean charge of light."""
-        return np.asarray(residual_variance_e2(light_e, self.time_s, self.read, self.imaging.correction).total)
+        return np.asarray(residual_variance_e2(light_e, self.time_s, self.readout, self.imaging.correction).total)
 
     @property
     def ends_e(self) -> Array:
         """Charge without light, and that at which a frame ends."""
-        return np.array([self.read.dark_current_e_per_s * self.time_s, self.read.saturation_e])
+        return np.array([self.readout.dark_current_e_per_s * self.time_s, self.readout.saturation_e])
 
     @cached_property
     def clipped_e(self) -> Array:
         """What clipping at code 0 adds to the mean of a dark frame."""
         white_e = self.base.chain.white_e_per_s * self.time_s
-        return np.array(dark_clip(self.read, self.time_s, white_e)["too_bright_e"])
+        return np.array(dark_clip(self.readout, self.time_s, white_e)["too_bright_e"])
 
     def metric_values(self, metric: Metric, frame: Frame) -> Array:
         """Return the numbers of a metric of a frame, (n,); NaN where it has none."""

@@ -27,6 +27,7 @@ from pixsim.base.records import Record
 from pixsim.optics.camera import Camera
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel, PixelOptions
+from pixsim.sensor.reading import Readout
 from pixsim.studies.files import load_study
 from pixsim.studies.prepare import prepare
 from pixsim.studies.settings import Study
@@ -192,9 +193,9 @@ def test_a_pixel_at_a_bound_has_finite_numbers_or_is_refused(name: str, value: f
     base = dict(SHEET) if sheet else {"pitch_um": 6.5}
     with warnings.catch_warnings(action="error"):
         try:
-            physics = derive(Pixel(**base | {name: value}))
-            numbers = [physics.full_well_e, physics.dark_current_e_per_s, physics.dn_per_e, physics.noise_floor_e]
-            numbers.append(physics.adc_range_e)
+            readout = Readout.of(derive(Pixel(**base | {name: value})))
+            numbers = [readout.full_well_e, readout.dark_current_e_per_s, readout.dn_per_e, readout.noise_floor_e]
+            numbers.append(readout.adc_range_e)
         except PixsimError:
             return
     assert all(map(math.isfinite, numbers))

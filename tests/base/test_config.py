@@ -17,9 +17,11 @@ from pixsim.base.layers import Layer
 from pixsim.base.records import checked
 from pixsim.cli.options import SceneOptions
 from pixsim.optics.camera import CameraOptions
+from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel import derive, fill_factor_law
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.spread import sheet_uncertainty
 from pixsim.studies.files import load_study
 from pixsim.studies.layers import with_data_sheets
@@ -192,11 +194,11 @@ def sheet(tmp_path: Path) -> Path:
 
 def test_data_sheet_sets_all_values(sheet: Path) -> None:
     """`test_run_same_sensor_in_every_way_gives_same_frame` has the way from a file to a frame."""
-    physics = derive(settings_of(sheet).pixel)
-    assert physics.pixel.technology == "none"
-    assert (physics.full_well_e, physics.fill_factor, physics.pixel.pitch_um) == (12000.0, 1.0, 4.0)
-    assert (physics.reset_noise_e, physics.offset_fpn_e, physics.column_fpn_e) == (0.0, 0.0, 0.0)
-    assert (physics.read_noise_e, physics.dark_current_e_per_s) == (2.5, 8.0)
+    readout = Readout.of(derive(settings_of(sheet).pixel))
+    assert readout.physics.pixel.technology == "none"
+    assert (readout.full_well_e, readout.physics.fill_factor, readout.physics.pixel.pitch_um) == (12000.0, 1.0, 4.0)
+    assert (readout.physics.reset_noise_e, readout.physics.offset_fpn_e, readout.physics.column_fpn_e) == (0.0, 0.0, 0.0)
+    assert (readout.read_noise_e, readout.dark_current_e_per_s) == (2.5, 8.0)
 
 
 def test_quantum_efficiency_curve_is_linear_and_zero_outside(sheet: Path) -> None:
@@ -409,7 +411,7 @@ def test_low_black_level_gives_note(options: dict[str, object], gain_db: float, 
     """How notes reach a page, and the terminal: `test_run_notes_reach_score_page_and_json`, and that of studies."""
     sheet = {"bits": 10} if "technology" in options else tomllib.loads(SHEET)["pixel"]
     pixel = Pixel.model_validate(sheet | options)
-    dark = dark_clip(derive(pixel).at_gain(gain_db), TIME_S, 1e4)
+    dark = dark_clip(Readout.of(derive(pixel)).at(Exposure(gain_db=gain_db)), TIME_S, 1e4)
     assert clips_dark(dark) == bool(message)
     assert not message or message in clip_words(dark, pixel.model_dump())
 

@@ -108,11 +108,11 @@ def targets() -> None:
     white_e = chain.white_e_per_s * frame.integration_s
 
     def noise() -> None:
-        capture_from_rates(signal, sample_sensor(physics, shape, stream(1)), EXPOSURE, stream(2))
+        capture_from_rates(signal, sample_sensor(asked.readout, shape, stream(1)), EXPOSURE, stream(2))
 
     row("noise of a sensor and a frame, 512²", 0.03, noise)
     whole = np.kron(signal, np.ones((2, 2)))
-    sensor = sample_sensor(physics, whole.shape, stream(1))
+    sensor = sample_sensor(asked.readout, whole.shape, stream(1))
     for frames in (1, 8):
         burst = EXPOSURE.model_copy(update={"frames": frames})
         row(f"frame of {frames} exposures, 1024²", None, partial(capture_from_rates, whole, sensor, burst, stream(2)))
@@ -127,7 +127,7 @@ def targets() -> None:
 
 def unavoidable(chain: ImagingChain) -> dict[str, Work]:
     """Random numbers, transforms and cube roots of one evaluation."""
-    p, rng = chain.physics, np.random.default_rng(0)
+    p, rng = chain.readout, np.random.default_rng(0)
     mean_e, screen = chain.simulate(0).frame.mean_e, chain.screen
     dots, number = screen.ideal.shape[:2], np.float32 if screen.single else np.float64
     first, planes = (empty_planes(count, *dots, dtype=number) for count in (1 if screen.ideal.ndim == 2 else 3, 3))
@@ -140,7 +140,7 @@ def unavoidable(chain: ImagingChain) -> dict[str, Work]:
                 scielab._single_f(plane, *scielab.CIE_LAB[:2], out) if screen.single else np.cbrt(plane, out=out)
 
     drawn = np.empty(mean_e.shape)
-    normals = [spread for spread in (p.prnu, p.offset_fpn_e, p.noise_floor_e) if spread]
+    normals = [spread for spread in (p.prnu, p.physics.offset_fpn_e, p.noise_floor_e) if spread]
     return {
         "normals": lambda: [rng.standard_normal(out=drawn) for _ in normals],
         "gamma": lambda: rng.gamma(p.dsnu**-2, p.dsnu**2, mean_e.shape) if p.dsnu else None,

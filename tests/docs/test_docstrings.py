@@ -39,7 +39,7 @@ ARRAY = re.compile(r"\b(Array|ArrayLike|NDArray|Floats|Picture)\b")
 SHAPE = re.compile(r"\((?:\.\.\.|…|[\w+() ]+)(?:, ?(?:\.\.\.|[\w+() ]*))+\)|\(\.\.\.\)|broadcast")
 SOURCE = re.compile(r"\b(1[89]|20)\d\d\b|\[(ZW|CIE)\]|\b(ISO|CIE|EMVA|ISETCam|Goodman|Foote|SI of)\b")
 REFERENCE = re.compile(r"`([a-z_0-9]+)`")  # to another kernel, which names the source
-OURS = "Camera|Pixel|Exposure|Display|Study|Scene|Plan|Technology|PixelPhysics|Sensor|Frame|RawFrame|SpectralImage|Diode"
+OURS = "Camera|Pixel|Exposure|Display|Study|Scene|Plan|Technology|PixelPhysics|Readout|Sensor|Frame|RawFrame|SpectralImage|Diode"
 RECORD = re.compile(rf"\b({OURS})\b")
 KERNELS = (
     *(

@@ -19,6 +19,7 @@ from pixsim.optics.camera import Camera
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame
 from pixsim.sensor.technology import Junction, Technology
 from pixsim.studies.optimum import Optimum
@@ -124,7 +125,8 @@ def test_readme_first_study_gives_shown_output(exact: bool, tmp_path: Path, monk
 # --- Glossary of the paper's terms ---------------------------------------------------------------------------------------
 
 HOMES: dict[str, object] = {
-    kind.__name__: kind for kind in (Pixel, PixelPhysics, ImagingChain, Frame, Exposure, Technology, Junction, Camera, Display)
+    kind.__name__: kind
+    for kind in (Pixel, PixelPhysics, Readout, ImagingChain, Frame, Exposure, Technology, Junction, Camera, Display)
 }
 HOMES |= {kind.__name__: kind for kind in (Score, Study, Curve)} | {"optics": pixsim.optics}
 INNER = {"optimum": Optimum}

@@ -15,7 +15,8 @@ from scipy.stats import norm, poisson
 from pixsim.base.arrays import Array
 from pixsim.light.spectral import HIGH_NM, LOW_NM
 from pixsim.sensor.mismatch import E_PER_FC
-from pixsim.sensor.pixel import Diode, PixelPhysics
+from pixsim.sensor.pixel import Diode
+from pixsim.sensor.reading import Readout
 
 # --- Lenses ---
 
@@ -60,15 +61,15 @@ def response_to_line(centre_nm: float, response: Callable[[Array], Array]) -> fl
 # --- Counts ---
 
 
-def saturated_share(physics: PixelPhysics) -> float:
+def saturated_share(readout: Readout) -> float:
     """Share of pixels at full well on average that are full, or whose noise reaches the top code.
 
     P(N ≥ full well) + Σ P(N = n) P(noise raises n to the top code) over n below the full well.
     """
-    well_e = physics.full_well_e
+    well_e = readout.full_well_e
     counts = np.arange(math.ceil(well_e))
-    top_e = (2**physics.pixel.bits - 1.5 - physics.pixel.black_level_dn) / physics.dn_per_e
-    noise_e = math.hypot(physics.reset_noise_e, physics.read_noise_e, physics.offset_fpn_e)
+    top_e = (2**readout.physics.pixel.bits - 1.5 - readout.adc.black_level_dn) / readout.dn_per_e
+    noise_e = math.hypot(readout.physics.reset_noise_e, readout.read_noise_e, readout.physics.offset_fpn_e)
     raised = poisson.pmf(counts, well_e) * norm.sf((top_e - counts) / noise_e)
     return float(poisson.sf(counts[-1], well_e) + raised.sum())
 

@@ -96,7 +96,7 @@ def package_results(experiment: Experiment) -> dict[str, float]:
 
 def truths(experiment: Experiment) -> dict[str, float]:
     """The true values."""
-    e, p = experiment, experiment.physics
+    e, p = experiment, experiment.readout
     dark_e = p.dark_current_e_per_s * e.integration_s
     assert e.sensor.gain is not None
     return {
@@ -125,7 +125,7 @@ def rows(cases: tuple[Case, ...] = CASES) -> list[dict[str, object]]:
             text, met = f"{100 * off:+.2f} %", abs(off) <= GATE
             table.append(verdict(STANDARD, f"{quantity}: {name}", "within 0.5 % of the parameters", text, met))
         step = float(e.photons[1] - e.photons[0])
-        peak = variance_peak_e(e.physics, e.integration_s, float(e.photons[-1]) * e.efficiency) / e.efficiency
+        peak = variance_peak_e(e.readout, e.integration_s, float(e.photons[-1]) * e.efficiency) / e.efficiency
         off = (results["u_p_sat"] - peak) / step
         table.append(verdict(STANDARD, f"saturation: {name}", "within one exposure step", f"{off:+.2f} steps", abs(off) <= 1))
     return table
@@ -144,7 +144,7 @@ OTHER_SIZES = CASES[1:3]  # of the first case's process
 def test_package_results_match_parameters(case: Case) -> None:
     experiment, results = judged(case)
     assert case in MORE_CASES or results["sigma_y_dark"] > 1, "too few bits for the gate on σ_d"
-    assert experiment.physics.pixel.black_level_dn > 6 * results["sigma_y_dark"]
+    assert experiment.readout.adc.black_level_dn > 6 * results["sigma_y_dark"]
     assert not not_met(rows((case,)))
 
 
@@ -204,7 +204,7 @@ def test_package_measures_gain_and_read_noise_before_and_after_it(gain_db: float
     g, full_e = 10 ** (gain_db / 20), full_scale_e or FULL_E
     pixel = Pixel.model_validate(SPLIT | {"adc_full_scale_e": full_scale_e})
     experiment = make_experiment(pixel, Exposure(gain_db=gain_db), shape=(SMALL, SMALL), exposures=EXPOSURES, stack_frames=16)
-    assert experiment.physics.pixel.black_level_dn == 600, "room for 6 σ of the dark at every gain"
+    assert experiment.readout.adc.black_level_dn == 600, "room for 6 σ of the dark at every gain"
     results = package_results(experiment)
     k = (2**BITS - 1 - 600) / full_e * g
     expected = {"K": k, "QE": 60.0, "sigma_d": math.hypot(READ_E, AFTER_E / g)}
@@ -244,11 +244,11 @@ class Corrected(Experiment):
     correction = Correction(dark_frames=8, flat_frames=2)
 
     def frame(self, photons: float, integration_s: float, *key: object, sensor: Any = None) -> Frames:
-        p, dn = self.physics, super().frame(photons, integration_s, *key, sensor=sensor)
+        p, dn = self.readout, super().frame(photons, integration_s, *key, sensor=sensor)
         light = np.full(dn.shape, photons * self.efficiency / integration_s)
         frame = make_frame(dn, 0.0, light, p, Exposure(integration_s=integration_s, gain_db=p.gain_db))
         corrected = correct(frame, self.sensor, self.correction, stream("masters"))
-        return np.rint(corrected.estimate_e * p.dn_per_e + p.pixel.black_level_dn).astype(np.int32)
+        return np.rint(corrected.estimate_e * p.dn_per_e + p.adc.black_level_dn).astype(np.int32)
 
 
 def test_package_measures_what_correction_leaves() -> None:
@@ -256,9 +256,9 @@ def test_package_measures_what_correction_leaves() -> None:
     pixel = Pixel.model_validate(SPLIT | {"read_noise_e": 20.0, "offset_fpn": 0.01, "prnu": 0.02, "column_fpn": 0.005})
     options: dict[str, Any] = {"shape": (CORRECTED, CORRECTED), "exposures": 16, "stack_frames": 24}
     plain = make_experiment(pixel, **options)
-    made, p = Corrected(**vars(plain)), plain.physics
+    made, p = Corrected(**vars(plain)), plain.readout
     results = package_results(made)
-    dark_e2 = p.reset_noise_e**2 + p.read_noise_at_gain_e**2 + 1 / 12 / p.dn_per_e**2
+    dark_e2 = p.physics.reset_noise_e**2 + p.read_noise_at_gain_e**2 + 1 / 12 / p.dn_per_e**2
     left = residual_variance_e2(0.0, made.integration_s, p, Corrected.correction)
     assert left.offsets == pytest.approx(dark_e2 / 8 * (1 - 0) ** 2, rel=1e-12)
     bright_e = results["u_p_sat"] / 2 * made.efficiency  # of the bright stack
@@ -267,7 +267,7 @@ def test_package_measures_what_correction_leaves() -> None:
     expected = {"DSNU1288": math.sqrt(left.offsets), "PRNU1288": 100 * prnu, "K": p.dn_per_e}
     for name, value in expected.items():
         assert results[name] == pytest.approx(value, rel=CORRECTED_GATE), name
-    assert p.offset_fpn_e > 5 * expected["DSNU1288"]
+    assert p.physics.offset_fpn_e > 5 * expected["DSNU1288"]
     assert 100 * p.prnu > 2 * expected["PRNU1288"]
 
 
@@ -275,7 +275,7 @@ class Resampled(Experiment):
     """Another fixed pattern in each frame."""
 
     def frame(self, photons: float, integration_s: float, *key: object, sensor: Any = None) -> Frames:
-        other = sample_sensor(self.physics, self.sensor.shape, stream("another", *key))
+        other = sample_sensor(self.readout, self.sensor.shape, stream("another", *key))
         return super().frame(photons, integration_s, *key, sensor=other)
 
 
@@ -286,8 +286,8 @@ def test_resampled_pattern_fails() -> None:
 
 def test_clipped_dark_fails() -> None:
     right = experiment_of(CASES[0], side=120)
-    pixel = right.physics.pixel.model_copy(update={"black_level_dn": 0.0})
-    off = deviations(replace(right, sensor=replace(right.sensor, physics=replace(right.physics, pixel=pixel))))
+    clipped = replace(right.readout, adc=replace(right.readout.adc, black_level_dn=0.0))
+    off = deviations(replace(right, sensor=replace(right.sensor, readout=clipped)))
     assert min(abs(off["sigma_d"]), abs(off["DSNU1288"])) > 10 * GATE
 
 

@@ -45,6 +45,7 @@ from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import electrons_per_joule, illumination_of, mean_signal_rate
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import capture, capture_from_rates, sample_sensor
 
 STANDARD = "ISO 12233:2023 e-SFR"
@@ -203,11 +204,11 @@ def second_rows(work: Work, settings: Sequence[Setting] = SETTINGS) -> list[dict
 def noise_rows(work: Work) -> list[dict[str, object]]:
     """The mean e-SFR of quantised frames of several sensors equals the noiseless one within the scatter."""
     setting = Setting(5.0, 2.8, 6.5)
-    physics = derive(Pixel(pitch_um=setting.pitch_um, black_level_dn=16))
+    readout = Readout.of(derive(Pixel(pitch_um=setting.pitch_um, black_level_dn=16)))
     rate, image, camera = sensed(work, setting), irradiance_of(work, setting), camera_of(setting.f_number)
     curves = []
     for seed in range(FRAMES):
-        sensor = sample_sensor(physics, rate.shape, np.random.default_rng([1, seed]))
+        sensor = sample_sensor(readout, rate.shape, np.random.default_rng([1, seed]))
         frame = capture_from_rates(rate, sensor, EXPOSURE, np.random.default_rng([2, seed]))
         if seed == 0:
             whole = capture(image, camera, sensor, EXPOSURE, rng=np.random.default_rng([2, seed]))

@@ -46,7 +46,7 @@ def pixel_of(case: Case) -> Pixel:
 
 def injected_dn(experiment: Experiment, signal_e: float) -> tuple[float, float]:
     """Temporal and fixed-pattern noise of a device in DN, from its parameters and maps."""
-    p = experiment.physics
+    p = experiment.readout
     dark_e = p.dark_current_e_per_s * experiment.integration_s
     temporal_e2 = signal_e + dark_e + p.reset_noise_e**2 + p.read_noise_e**2 + p.read_noise_after_gain_e**2
     assert experiment.sensor.gain is not None
@@ -60,7 +60,7 @@ def noise_offs(case: Case) -> list[tuple[str, float]]:
     experiment = make_experiment(pixel_of(case), shape=(SIDE, SIDE))
     deviations = []
     for share in WELL_SHARES:
-        signal_e = share * experiment.physics.full_well_e
+        signal_e = share * experiment.readout.full_well_e
         frames = np.stack([*experiment.frames(case[3], signal_e / experiment.efficiency, "iso", share)])
         injected = injected_dn(experiment, signal_e)
         names = "temporal", "fixed-pattern", "total"

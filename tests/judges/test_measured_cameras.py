@@ -42,6 +42,7 @@ from pixsim.measure.estimators import pair
 from pixsim.measure.experiment import make_experiment
 from pixsim.optics.camera import Camera
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.reading import Readout
 from pixsim.viewer.settings_file import run_settings
 
 DATA = Path(__file__).parents[1] / "data/cameras"
@@ -73,7 +74,7 @@ def frames_of_sphere(pixel: Pixel, mean_dn: float, frames: int, side: int, seed:
     found = pixsim.capture(light, camera, sensor, pixsim.Exposure(integration_s=1e-3), rng=stream("sphere"))
     rate = found.mean_e[green] / found.integration_s
     assert np.ptp(rate) < 1e-6 * rate.mean(), "the light is even"
-    exposure = pixsim.Exposure(integration_s=mean_dn / pixsim.derive(pixel).dn_per_e / float(rate.mean()))
+    exposure = pixsim.Exposure(integration_s=mean_dn / Readout.of(pixsim.derive(pixel)).dn_per_e / float(rate.mean()))
     taken = (pixsim.capture(light, camera, sensor, exposure, rng=stream("sphere", seed, index)).dn for index in range(frames))
     return np.stack([dn[green] for dn in taken]) - pixel.black_level_dn
 
@@ -193,7 +194,7 @@ def ccd_simulated(pixel: Pixel, photons: Array) -> tuple[Array, Array]:
     """Mean above black and temporal variance of a pair of simulated frames in each light, DN and DN²."""
     experiment = make_experiment(pixel, wavelength_nm=550.0, shape=(CCD_SIDE, CCD_SIDE))
     pairs = [pair(*experiment.frames(2, count, "ccd", index)) for index, count in enumerate(photons.tolist())]
-    black_dn = experiment.physics.pixel.black_level_dn  # 6 σ of the dark at least
+    black_dn = experiment.readout.adc.black_level_dn  # 6 σ of the dark at least
     return np.array([each.mean_dn - black_dn for each in pairs]), np.array([each.variance_dn2 for each in pairs])
 
 

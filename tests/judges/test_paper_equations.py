@@ -27,8 +27,9 @@ from judges.gates import not_met, verdict
 from pixsim.base.arrays import stream
 from pixsim.measure.estimators import pair
 from pixsim.measure.experiment import with_black_level
-from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import frame_mean_dn, read_out, sample_sensor
 
 STANDARD = "Chen et al. (2000), eqs. (1) and (2)"
@@ -48,32 +49,32 @@ PITCHES_UM = {
 DECIBEL_COST_GATE = 0.05
 
 
-def physics_of(technology: str, pitch_um: float, bits: int = 24) -> PixelPhysics:
+def readout_of(technology: str, pitch_um: float, bits: int = 24) -> Readout:
     pixel = Pixel.model_validate({"technology": technology, "pitch_um": pitch_um, "bits": bits} | NO_PATTERN)
-    return with_black_level(derive(pixel), SECONDS)
+    return with_black_level(Readout.of(derive(pixel)), SECONDS)
 
 
-def measured_db(physics: PixelPhysics, side: int, *key: object) -> dict[str, float]:
+def measured_db(readout: Readout, side: int, *key: object) -> dict[str, float]:
     """DR and SNR of a pixel in dB, from its frames alone."""
     shape = side, side
-    sensor = sample_sensor(physics, shape, stream("no pattern"))
+    sensor = sample_sensor(readout, shape, stream("no pattern"))
 
     def frames(signal_e: float, name: str) -> list[np.ndarray]:
         return [read_out(np.full(shape, signal_e), SECONDS, sensor, stream(*key, name, index)) for index in range(2)]
 
     dark = pair(*frames(0.0, "dark"))
-    top_dn = float(np.median(frames(1.5 * physics.full_well_e, "full")[0]))  # the median, as noise lowers some codes
+    top_dn = float(np.median(frames(1.5 * readout.full_well_e, "full")[0]))  # the median, as noise lowers some codes
     decibels = {"DR": 20 * math.log10((top_dn - dark.mean_dn) / math.sqrt(dark.variance_dn2))}
     for share in WELL_SHARES:
-        lit = pair(*frames(share * physics.full_well_e, f"lit {share}"))
+        lit = pair(*frames(share * readout.full_well_e, f"lit {share}"))
         decibels[f"SNR at {100 * share:g} %"] = 20 * math.log10((lit.mean_dn - dark.mean_dn) / math.sqrt(lit.variance_dn2))
     return decibels
 
 
-def equations_db(physics: PixelPhysics) -> dict[str, float]:
+def equations_db(readout: Readout) -> dict[str, float]:
     """Equations (1) and (2) in dB, implemented independently."""
-    dark_e, well_e = physics.dark_current_e_per_s * SECONDS, physics.full_well_e
-    variance_e2 = physics.reset_noise_e**2 + physics.read_noise_e**2 + physics.read_noise_after_gain_e**2 + dark_e
+    dark_e, well_e = readout.dark_current_e_per_s * SECONDS, readout.full_well_e
+    variance_e2 = readout.physics.reset_noise_e**2 + readout.read_noise_e**2 + readout.read_noise_after_gain_e**2 + dark_e
     decibels = {"DR": 20 * math.log10((well_e - dark_e) / math.sqrt(variance_e2))}
     for share in WELL_SHARES:
         decibels[f"SNR at {100 * share:g} %"] = 20 * math.log10(share * well_e / math.sqrt(variance_e2 + share * well_e))
@@ -92,24 +93,24 @@ def deviations(side: int) -> dict[str, dict[str, float]]:
     for technology, pitches in PITCHES_UM.items():
         deviations_ = table.setdefault(technology, {})
         for pitch_um in pitches:
-            physics = physics_of(technology, pitch_um)
-            true = equations_db(physics)
-            for name, value in measured_db(physics, side, "paper", technology, pitch_um).items():
+            readout = readout_of(technology, pitch_um)
+            true = equations_db(readout)
+            for name, value in measured_db(readout, side, "paper", technology, pitch_um).items():
                 deviations_[f"{name}, {pitch_um:g} µm"] = (value - true[name]) / error_db(side)
     return table
 
 
 def quantiser_cost_db(bits: int = 10) -> tuple[float, float]:
     """(measured, expected from LSB²/12) loss of DR in dB, at 15 µm in the 0.35 µm technology, over all phases of the ADC."""
-    physics = physics_of("0.35um", 15.0, bits)
+    readout = readout_of("0.35um", 15.0, bits)
     shape, phases = (600, 600), 8
-    sensor = sample_sensor(physics, shape, stream("no pattern"))
-    ramp_e = np.linspace(0.0, phases / physics.dn_per_e, math.prod(shape), endpoint=False).reshape(shape)
+    sensor = sample_sensor(readout, shape, stream("no pattern"))
+    ramp_e = np.linspace(0.0, phases / readout.dn_per_e, math.prod(shape), endpoint=False).reshape(shape)
     frame = read_out(ramp_e, SECONDS, sensor, stream("paper", "quantiser", bits))
-    added_dn2 = float(ramp_e.mean()) * physics.dn_per_e**2  # shot noise of the ramp, absent in the dark
-    measured_dn2 = float(np.mean((frame - frame_mean_dn(ramp_e, SECONDS, physics)) ** 2)) - added_dn2
-    dark_e = physics.dark_current_e_per_s * SECONDS
-    true_dn2 = (physics.reset_noise_e**2 + physics.read_noise_e**2 + dark_e) * physics.dn_per_e**2
+    added_dn2 = float(ramp_e.mean()) * readout.dn_per_e**2  # shot noise of the ramp, absent in the dark
+    measured_dn2 = float(np.mean((frame - frame_mean_dn(ramp_e, SECONDS, readout)) ** 2)) - added_dn2
+    dark_e = readout.dark_current_e_per_s * SECONDS
+    true_dn2 = (readout.physics.reset_noise_e**2 + readout.read_noise_e**2 + dark_e) * readout.dn_per_e**2
     return 10 * math.log10(measured_dn2 / true_dn2), 10 * math.log10(1 + 1 / 12 / true_dn2)
 
 
@@ -138,22 +139,22 @@ def test_frames_match_equations(side: int) -> None:
 
 
 def test_pixel_methods_match_equations() -> None:
-    physics = physics_of("0.35um", 6.5)
-    true = equations_db(physics)
-    assert physics.dynamic_range_db(SECONDS) == pytest.approx(true["DR"], rel=1e-12)
-    assert physics.snr_db(0.2 * physics.full_well_e, SECONDS) == pytest.approx(true["SNR at 20 %"], rel=1e-12)
+    readout = readout_of("0.35um", 6.5)
+    true = equations_db(readout)
+    assert readout.dynamic_range_db(SECONDS) == pytest.approx(true["DR"], rel=1e-12)
+    assert readout.snr_db(0.2 * readout.full_well_e, SECONDS) == pytest.approx(true["SNR at 20 %"], rel=1e-12)
 
 
 @pytest.mark.parametrize("wrong", [{"reset_noise_factor": 1.2}, {"full_well_e": 95_000.0}, {"dark_current_e_per_s": 9e3}])
 def test_wrong_parameter_fails(wrong: dict[str, float]) -> None:
     """Frames of a pixel with other parameters than the equations."""
-    right = physics_of("0.35um", 6.5)
-    pixel = Pixel.model_validate(right.pixel.model_dump() | wrong)
-    measured, true = measured_db(derive(pixel), SIDE, "paper", "wrong"), equations_db(right)
+    right = readout_of("0.35um", 6.5)
+    pixel = Pixel.model_validate(right.physics.pixel.model_dump() | wrong)
+    measured, true = measured_db(Readout.of(derive(pixel)), SIDE, "paper", "wrong"), equations_db(right)
     assert max(abs(measured[name] - true[name]) for name in true) > WORST * error_db(SIDE)
 
 
 def test_coarse_quantiser_fails() -> None:
-    physics = physics_of("0.35um", 15.0, bits=10)
-    measured = measured_db(physics, SIDE, "paper", "coarse")
-    assert abs(measured["DR"] - equations_db(physics)["DR"]) > 5 * error_db(SIDE)
+    readout = readout_of("0.35um", 15.0, bits=10)
+    measured = measured_db(readout, SIDE, "paper", "coarse")
+    assert abs(measured["DR"] - equations_db(readout)["DR"]) > 5 * error_db(SIDE)

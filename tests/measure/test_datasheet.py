@@ -27,6 +27,7 @@ from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.noise import signal_at_snr_e
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import dark_spread_e, frame_mean_dn, frame_variance_dn2, least_black_level_dn, read_out, sample_sensor
 
 QUIET = {"prnu": 0.0, "dsnu": 0.0, "offset_fpn": 0.0, "column_fpn": 0.0}
@@ -161,21 +162,21 @@ def test_exposure_at_snr_matches_closed_form(wanted: float) -> None:
 
 
 def test_expected_moments_below_full_well_closed_form() -> None:
-    physics = derive(Pixel(pitch_um=6.5, bits=14, black_level_dn=300))
-    mean, variance = expected_moments(3e4, 0.03, physics)
-    assert mean == pytest.approx(frame_mean_dn(3e4, 0.03, physics), rel=1e-9)
-    assert variance == pytest.approx(frame_variance_dn2(3e4, 0.03, physics, fixed_pattern=False), rel=1e-3)
+    readout = Readout.of(derive(Pixel(pitch_um=6.5, bits=14, black_level_dn=300)))
+    mean, variance = expected_moments(3e4, 0.03, readout)
+    assert mean == pytest.approx(frame_mean_dn(3e4, 0.03, readout), rel=1e-9)
+    assert variance == pytest.approx(frame_variance_dn2(3e4, 0.03, readout, fixed_pattern=False), rel=1e-3)
 
 
 @pytest.mark.parametrize("share", [0.94, 0.97, 1.0, 1.02])
 @pytest.mark.parametrize("options", [{}, {"well_limit": "diode"}, {"conversion": "junction"}])
 def test_expected_moments_near_full_well_match_frames(share: float, options: dict[str, str]) -> None:
     pixel = Pixel.model_validate({"pitch_um": 5.3, "bits": 14, "black_level_dn": 400} | options)
-    physics = derive(pixel)
-    mean_e = share * physics.full_well_e
-    sensor = sample_sensor(physics, (400, 400), stream("test moments"))
+    readout = Readout.of(derive(pixel))
+    mean_e = share * readout.full_well_e
+    sensor = sample_sensor(readout, (400, 400), stream("test moments"))
     frames = [read_out(np.full(sensor.shape, mean_e), 0.03, sensor, stream("test moments", share, index)) for index in range(2)]
-    mean, variance = expected_moments(mean_e, 0.03, physics)
+    mean, variance = expected_moments(mean_e, 0.03, readout)
     result = estimators.pair(*frames)
     assert result.mean_dn == pytest.approx(mean, rel=3e-4)
     assert result.variance_dn2 == pytest.approx(variance, rel=0.05)
@@ -183,12 +184,12 @@ def test_expected_moments_near_full_well_match_frames(share: float, options: dic
 
 def test_make_experiment_black_level_is_at_least_six_sigma() -> None:
     made = make_experiment(Pixel(pitch_um=5.3, bits=12))
-    physics = made.physics
-    black_e = physics.pixel.black_level_dn / physics.dn_per_e
-    assert 6 * dark_spread_e(physics, 0.03) <= black_e < 6.5 * dark_spread_e(physics, 0.03)
+    readout = made.readout
+    black_e = readout.adc.black_level_dn / readout.dn_per_e
+    assert 6 * dark_spread_e(readout, 0.03) <= black_e < 6.5 * dark_spread_e(readout, 0.03)
     given = make_experiment(Pixel(pitch_um=5.3, bits=12, black_level_dn=100.5))
-    assert given.physics.pixel.black_level_dn == 100.5
-    assert least_black_level_dn(given.physics, 0.03) < 100
+    assert given.readout.adc.black_level_dn == given.pixel.black_level_dn == 100.5
+    assert least_black_level_dn(given.readout, 0.03) < 100
 
 
 @pytest.mark.parametrize("pixel", [{"bits": 1}, {"bits": 2}, {"bits": 12, "read_noise_e": 1e7}])
@@ -210,7 +211,7 @@ def test_make_experiment_default_wavelength_is_peak_response() -> None:
 def test_make_experiment_exposures_exceed_saturation() -> None:
     made = make_experiment(Pixel(pitch_um=5.3))
     assert made.photons.size == EXPOSURES >= 40
-    assert 1.05 < made.photons[-1] * made.efficiency / made.physics.full_well_e < 1.15
+    assert 1.05 < made.photons[-1] * made.efficiency / made.readout.full_well_e < 1.15
     np.testing.assert_allclose(np.diff(made.photons), made.photons[0])
     assert made.dark_times_s.size == DARK_TIMES
     with pytest.raises(PixsimError, match=r"exposure\.integration_s: got 1000"):
@@ -225,7 +226,7 @@ def test_experiment_frames_depend_on_seed_and_key_only() -> None:
     assert (made.frame(1e4, 0.03, "b") != frames[0]).any()
     warm = made.warmed(308.15)
     assert warm.offset_e is made.sensor.offset_e
-    assert warm.physics.dark_current_e_per_s == pytest.approx(2 * made.physics.dark_current_e_per_s, rel=1e-6)
+    assert warm.readout.dark_current_e_per_s == pytest.approx(2 * made.readout.dark_current_e_per_s, rel=1e-6)
 
 
 def test_make_datasheet_noiseless_pixel_is_finite() -> None:
@@ -263,10 +264,10 @@ def test_entries_at_gain_and_with_mismatch_within_standard_errors(options: dict[
     pixel = Pixel.model_validate(options | {"bits": 14})
     made = make_datasheet(pixel, Exposure(gain_db=gain_db), shape=(100, 100), stack_frames=16)
     test_entries_measured_within_standard_errors(made)
-    plain, g = derive(pixel), 10 ** (gain_db / 20)
-    codes = 2**14 - 1 - made.experiment.physics.pixel.black_level_dn
+    plain, g = Readout.of(derive(pixel)), 10 ** (gain_db / 20)
+    codes = made.experiment.readout.adc.codes_dn
     assert by_symbol(made)["K"].true == pytest.approx(codes / options.get("adc_full_scale_e", plain.full_well_e) * g, rel=1e-12)
-    noise_e2 = plain.reset_noise_e**2 + plain.read_noise_e**2 + (options.get("read_noise_after_gain_e", 0.0) / g) ** 2
+    noise_e2 = plain.physics.reset_noise_e**2 + plain.read_noise_e**2 + (options.get("read_noise_after_gain_e", 0.0) / g) ** 2
     dark_e = plain.dark_current_e_per_s * made.experiment.integration_s
     assert by_symbol(made)["σ_d"].true == pytest.approx(math.sqrt(noise_e2 + dark_e), rel=1e-12)
     assert (f"{gain_db:g} dB" in str(described(made))) == (gain_db > 0)
@@ -278,13 +279,13 @@ def test_saturation_speed_is_that_of_the_device(seed: int, options: dict[str, fl
     """A mean offset, as of few columns, takes part of the range of the ADC; a well below it holds the same light."""
     pixel = Pixel.model_validate({"pitch_um": 5.3, "bits": 14, "column_fpn": 0.01, "dsnu": 0.0} | options)
     made = make_datasheet(pixel, shape=(60, 60), stack_frames=8, seed=seed)
-    e, p = made.experiment, made.experiment.physics
+    e, p = made.experiment, made.experiment.readout
     offset_e = mean_offset_e(e)
     assert abs(offset_e) > 2e-4 * p.full_well_e
     for symbol in ("S_sat", "DR_ISO"):
         entry = by_symbol(made)[symbol]
         assert abs(entry.measured - entry.true) <= 4.5 * entry.standard_error, entry
-    held_e = 78 * daylight_e_per_lx_s(p) / by_symbol(made)["S_sat"].true
+    held_e = 78 * daylight_e_per_lx_s(e.physics) / by_symbol(made)["S_sat"].true
     left_e = min(0.0, -offset_e) if "adc_full_scale_e" not in options else 0.0
     assert held_e == pytest.approx(p.full_well_e + left_e - p.dark_current_e_per_s * e.integration_s, rel=1e-9)
 
@@ -326,9 +327,9 @@ def test_spectrogram_white_noise_is_flat() -> None:
 
 
 def test_variance_peak_e_gain_spread_lowers_peak() -> None:
-    even = derive(Pixel.model_validate({"pitch_um": 15.0, "bits": 14, "black_level_dn": 300} | QUIET))
-    uneven = derive(Pixel(pitch_um=15.0, bits=14, black_level_dn=300))
-    peaks = [variance_peak_e(physics, 0.03, 1.1 * physics.full_well_e) / physics.full_well_e for physics in (even, uneven)]
+    even = Readout.of(derive(Pixel.model_validate({"pitch_um": 15.0, "bits": 14, "black_level_dn": 300} | QUIET)))
+    uneven = Readout.of(derive(Pixel(pitch_um=15.0, bits=14, black_level_dn=300)))
+    peaks = [variance_peak_e(readout, 0.03, 1.1 * readout.full_well_e) / readout.full_well_e for readout in (even, uneven)]
     assert 0.99 < peaks[0] < 1
     assert 1 - 4 * uneven.prnu < peaks[1] < 1 - uneven.prnu
 
@@ -378,7 +379,7 @@ def test_colour_standard_errors_match_repeats(colour: dict[str, object]) -> None
     """Six devices: the root mean square of their pulls. Of 8 quantities, a false alarm in 250 runs of new seeds."""
     pixel, pulls = colour_pixel(colour=D5100 | colour), []
     for seed in range(6):
-        made = measure_colour(make_experiment(pixel, seed=seed, shape=(40, 40)), derive(pixel).as_read.prnu)
+        made = measure_colour(make_experiment(pixel, seed=seed, shape=(40, 40)), Readout.of(derive(pixel)).prnu)
         true = made.truth.rendition
         pairs = [(made.estimate(smi), smi(true))]
         pairs += [(made.estimate(gain), gain(true)) for gain in (partial(noise_gain, primary=primary) for primary in range(3))]
@@ -398,7 +399,7 @@ def test_colour_of_an_equal_sum_has_the_noise_of_four_pixels() -> None:
         colour = D5100 | {"pattern": "quad_rggb", "binning": binning}
         experiment = make_experiment(colour_pixel(bits=16, colour=colour, **noiseless), shape=(8, 8))
         snr.append(measure_colour(experiment).true_snr())
-        assert experiment.physics.full_well_e == (4 if binning else 1) * derive(colour_pixel()).full_well_e
+        assert experiment.readout.full_well_e == (4 if binning else 1) * derive(colour_pixel()).full_well_e
         daylight = daylight_e_per_lx_s(experiment.physics)
         assert daylight == pytest.approx((4 if binning else 1) * daylight_e_per_lx_s(derive(colour_pixel()).channels[1]), rel=1e-12)
     assert np.divide(snr[1], snr[0]) == pytest.approx([2, 2], rel=1e-3)
@@ -407,7 +408,9 @@ def test_colour_of_an_equal_sum_has_the_noise_of_four_pixels() -> None:
 def test_colour_truth_knows_crosstalk() -> None:
     """The matrix takes the mixture of neighbours apart again, at more noise."""
     stack = {"height_um": 4.0, "index": 1.5, "microlens": "none"}
-    alone, mixed = (colour_truth(derive(colour_pixel(stack=stack | {"crosstalk": share})), 0.01) for share in (0.0, 0.08))
+    alone, mixed = (
+        colour_truth(Readout.of(derive(colour_pixel(stack=stack | {"crosstalk": share}))), 0.01) for share in (0.0, 0.08)
+    )
     for primary in range(3):
         assert noise_gain(mixed.rendition, primary) > 1.05 * noise_gain(alone.rendition, primary)
 

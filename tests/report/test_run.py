@@ -25,6 +25,7 @@ from pixsim.report.outline import outline_document, run_outline
 from pixsim.report.run import colour_rows, shown_picture
 from pixsim.scene.film import PATH_SAMPLES
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import frame_variance_dn2
 from pixsim.show.pictures import MAX_PICTURE_DOTS as MAX_DOTS, Picture, display_codes, reduced
 from pixsim.studies.run import prepare
@@ -229,10 +230,10 @@ def test_run_frames_share_the_sensor_and_have_noise_of_their_own(tmp_path):
     assert "--frames 2" in settings.splitlines()[1]
 
     pixel = pixsim.Pixel.model_validate(summaries[1]["pixel"])
-    physics, time_s = derive(pixel), summaries[1]["integration_s"]
+    readout, time_s = Readout.of(derive(pixel)), summaries[1]["integration_s"]
     dn = np.array([frame.dn for frame in frames[3]], float)
-    signal_e = (dn.mean() - pixel.black_level_dn) / physics.dn_per_e - physics.dark_current_e_per_s * time_s
-    temporal, total = (float(frame_variance_dn2(signal_e, time_s, physics, fixed)) for fixed in (False, True))
+    signal_e = (dn.mean() - pixel.black_level_dn) / readout.dn_per_e - readout.dark_current_e_per_s * time_s
+    temporal, total = (float(frame_variance_dn2(signal_e, time_s, readout, fixed)) for fixed in (False, True))
     # Of 271² pixels: a standard error of 0.37 % for three frames' temporal variance, and of 0.52 % for a fixed pattern.
     assert np.mean([(dn[i] - dn[j]).var() / 2 for i, j in ((0, 1), (0, 2), (1, 2))]) == pytest.approx(temporal, rel=0.015)
     across = [np.cov(dn[i].ravel(), dn[j].ravel())[0, 1] for i, j in ((0, 1), (0, 2), (1, 2))]

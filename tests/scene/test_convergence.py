@@ -35,6 +35,7 @@ from pixsim.scene.plan import make_plan
 from pixsim.scene.renderer import LEVEL_FACTOR, Renderer
 from pixsim.sensor.integration import ideal_rate, integrate_pixels
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.reading import Readout
 from pixsim.viewer.setting import Run
 
 PIXEL = pixsim.Pixel(pitch_um=42.4)  # 64 across
@@ -65,11 +66,11 @@ def electrons_per_s(image: pixsim.SpectralImage, pixel: pixsim.Pixel = PIXEL) ->
 
 def true_noise(images: list[pixsim.SpectralImage], exposure: pixsim.Exposure, pixel: pixsim.Pixel = PIXEL) -> float:
     """Return the RMS over pixels of the standard deviation of pictures over the temporal noise of the sensor."""
-    p = derive(pixel)
+    p = Readout.of(derive(pixel))
     signal_e = np.array([electrons_per_s(image, pixel) for image in images]) * exposure.integration_s
     dark_e = p.dark_current_e_per_s * exposure.integration_s
     mean_e = signal_e.mean(axis=0)
-    variance_e2 = mean_e + dark_e + p.reset_noise_e**2 + p.read_noise_e**2 + 1 / (12 * p.dn_per_e**2)
+    variance_e2 = mean_e + dark_e + p.physics.reset_noise_e**2 + p.read_noise_e**2 + 1 / (12 * p.dn_per_e**2)
     return float(np.sqrt((signal_e.var(axis=0, ddof=1) / variance_e2).mean()))
 
 
@@ -147,9 +148,9 @@ def test_noise_of_known_noise_is_unbiased(monkeypatch):
     exposure = pixsim.Exposure(integration_s=1e-4)
     for target in (LOOSE, 2e-2):
         image, noise = until(target, pixels=[pixel], exposure=exposure)
-        p = derive(pixel)
+        p = Readout.of(derive(pixel))
         mean_e = electrons_per_s(image, pixel) * 1e-4
-        variance_e2 = mean_e + p.dark_current_e_per_s * 1e-4 + p.reset_noise_e**2 + 1 / (12 * p.dn_per_e**2)
+        variance_e2 = mean_e + p.dark_current_e_per_s * 1e-4 + p.physics.reset_noise_e**2 + 1 / (12 * p.dn_per_e**2)
         samples = image.header["spp"]
         expected = 0.1 / math.sqrt(samples) * math.sqrt((mean_e**2 / variance_e2).mean())
         # 1024 cells: 2.2 % of noise, 5σ.

@@ -22,6 +22,7 @@ from pixsim.scene.plan import UNIFORM_RESOLUTION, decide_saturation, make_plan, 
 from pixsim.scene.renderer import Renderer
 from pixsim.sensor.integration import ideal_rate, integrate_pixels
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.reading import Readout
 
 PIXELS = [pixsim.Pixel(), pixsim.Pixel(technology="4t-bsi", pitch_um=2.8)]
 LAMPS = ["d65", "a", "fl11", "led_b3", "laser_532nm"]
@@ -251,20 +252,20 @@ def test_decide_oversampling_states_photodiode_and_lens():
 
 
 def test_decide_saturation_states_law():
-    hard = decide_saturation(derive(pixsim.Pixel()), 0.1)
+    hard = decide_saturation(Readout.of(derive(pixsim.Pixel())), 0.1)
     assert (hard.kept, hard.bound_e) == (True, 0.0)
     assert "hard clip" in hard.reason
-    soft = decide_saturation(derive(pixsim.Pixel(well_limit="diode")), 0.1)
+    soft = decide_saturation(Readout.of(derive(pixsim.Pixel(well_limit="diode"))), 0.1)
     assert not soft.kept
     assert "1.78e+05 e- in 0.1 s (86% of the well)" in soft.reason
     assert soft.bound_e == pytest.approx(1e-6 / 0.857, rel=1e-2)
     for limit in ("swing", "diode"):
-        bent = decide_saturation(derive(pixsim.Pixel(well_limit=limit, conversion="junction")), 0.1)
+        bent = decide_saturation(Readout.of(derive(pixsim.Pixel(well_limit=limit, conversion="junction"))), 0.1)
         assert bent.kept
         assert "at every level" in bent.reason
-    paper = decide_saturation(derive(pixsim.Pixel(capacitance="paper", conversion="junction")), 0.1)
+    paper = decide_saturation(Readout.of(derive(pixsim.Pixel(capacitance="paper", conversion="junction"))), 0.1)
     assert "at every level" not in paper.reason
-    assert "hard clip" in decide_saturation(derive(pixsim.Pixel(technology="4t-bsi", pitch_um=2.8)), 0.1).reason
+    assert "hard clip" in decide_saturation(Readout.of(derive(pixsim.Pixel(technology="4t-bsi", pitch_um=2.8))), 0.1).reason
 
 
 def test_make_plan_uses_longest_exposure():

@@ -33,6 +33,7 @@ from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import diffracted_rate, ideal_rate
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import integration_time_s
 from pixsim.viewer.display_options import Display
 
@@ -233,10 +234,10 @@ def test_the_brightest_pixel_sets_the_exposure_and_what_lies_beyond_the_circle_i
     assert float((image.factors[1][0] == 0).mean()) == pytest.approx(share, abs=0.03)
     pixel = Pixel(pitch_um=100.0, infrared_cut_nm=720.0)
     thin = without_lens(camera)
-    physics, times = derive(pixel), []
+    readout, times = Readout.of(derive(pixel)), []
     for light, seen in ((image, camera), (render(scene, thin, plan=make_render_plan(scene, thin, pixel)), thin)):
         chain = imaging_chain(light, seen, pixel, Exposure(), Display(dots=48))
-        times.append(integration_time_s(Exposure(), physics, float(chain.signal_e_per_s.max())))
+        times.append(integration_time_s(Exposure(), readout, float(chain.signal_e_per_s.max())))
         assert chain.capture("x").integration_s == pytest.approx(times[-1], rel=1e-6)
     assert times[0] == pytest.approx(times[1], rel=0.02)  # as much light on the axis, in spite of the dark corners
     assert image.illuminance_lx().mean() < 0.6 * image.illuminance_lx().max()

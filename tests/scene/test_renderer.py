@@ -30,6 +30,7 @@ from pixsim.scene.renderer import Renderer
 from pixsim.sensor import readout as sensor
 from pixsim.sensor.integration import pixel_count
 from pixsim.sensor.pixel import derive
+from pixsim.sensor.reading import Readout
 
 
 def on_axis_sr(f_number: float, magnification: float) -> float:
@@ -143,10 +144,10 @@ def grating_folder(tmp_path_factory):
 
 def mean_electrons(image, camera, pixel) -> np.ndarray:
     """`Frame.mean_e` of one row of a strip."""
-    physics = derive(pixel)
+    readout = Readout.of(derive(pixel))
     count = tuple(pixel_count(n * image.pitch_um, pixel.pitch_um) for n in image.shape)
     rng = np.random.default_rng(0)
-    frame = pixsim.capture(image, camera, sensor.sample_sensor(physics, count, rng), rng=rng)
+    frame = pixsim.capture(image, camera, sensor.sample_sensor(readout, count, rng), rng=rng)
     return frame.mean_e.mean(axis=0) / frame.integration_s
 
 

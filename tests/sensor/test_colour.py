@@ -25,6 +25,7 @@ from pixsim.sensor.integration import lights_of, mean_signal_rate
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.raw import RawFrame, read_frame, write_frame
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import capture_from_rates, frame_mean_dn, frame_variance_dn2, make_sensor, sample_sensor
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.merging import merge
@@ -156,8 +157,8 @@ def binned() -> Pixel:
 
 def test_binning_sums_charge_before_one_readout() -> None:
     """Mean, and variance over sensors and frames, of four pixels read as one: 4 shot noises, a quarter of PRNU², one read noise."""
-    single, read = derive(binned()), derive(binned()).as_read
-    assert (read.read_pitch_um, str(read.layout)) == (2 * single.pitch_um, "RG/GB")
+    single, read = derive(binned()), Readout.of(derive(binned()))
+    assert (read.physics.read_pitch_um, str(read.physics.layout)) == (2 * single.pitch_um, "RG/GB")
     colour = {"pattern": "quad_rggb", "quantum_efficiencies": of_channels("RGB")}
     alone = signal(colour, pitch_um=2.5)
     sums = alone.reshape(len(alone) // 2, 2, -1, 2).sum(axis=(1, 3))
@@ -171,7 +172,7 @@ def test_binning_sums_charge_before_one_readout() -> None:
         )
         dn.append(frame.dn)
     variance_e2 = 4 * (mean_e + dark * time_s) + read.noise_floor_e**2 + 4 * (0.02 * mean_e) ** 2 + 4 * (0.3 * dark * time_s) ** 2
-    variance_e2 += read.offset_fpn_e**2 + read.column_fpn_e**2
+    variance_e2 += read.physics.offset_fpn_e**2 + read.physics.column_fpn_e**2
     assert frame_variance_dn2(4 * mean_e, time_s, read) == pytest.approx(variance_e2 * read.dn_per_e**2 + 1 / 12, rel=1e-12)
     values = np.array(dn, float)
     # 360 000 values: standard error of a mean below 1e-3 of σ·√2, of a variance 2.4e-3; 4 of each.
@@ -213,9 +214,9 @@ def test_planes_that_do_not_divide_a_frame_are_no_layout(tmp_path: Path) -> None
 
 def test_flat_frames_leave_the_balance_of_the_channels() -> None:
     """Corrected electrons keep each channel's own level, and what is left of PRNU is that of the flat frames."""
-    p = derive(pixel({"quantum_efficiencies": of_channels("RGB")}, **QUIET | {"prnu": 0.1, "bits": 16}))
+    p = Readout.of(derive(pixel({"quantum_efficiencies": of_channels("RGB")}, **QUIET | {"prnu": 0.1, "bits": 16})))
     shape, rng = (60, 60), np.random.default_rng(2)
-    layout = Layout.of(p.pixel)
+    layout = Layout.of(p.physics.pixel)
     levels = np.array([0.5, 1.0, 0.7])[layout.numbers(shape)]
     mean_e = 0.5 * p.full_well_e * levels
     sensor = sample_sensor(p, shape, rng)
@@ -233,7 +234,7 @@ def test_defects_are_replaced_by_pixels_of_their_own_colour() -> None:
     layout = Layout.of(p.pixel)
     mean_e = np.array([1000.0, 4000.0, 2000.0])[layout.numbers(shape)]
     sensor = sample_sensor(
-        derive(pixel({"quantum_efficiencies": of_channels("RGB")}, **QUIET | {"prnu": 0.01, "bits": 16})), shape, rng
+        Readout.of(derive(pixel({"quantum_efficiencies": of_channels("RGB")}, **QUIET | {"prnu": 0.01, "bits": 16}))), shape, rng
     )
     sensor.gain[6, 6] = 0.0  # a dead red pixel among green and blue ones
     frame = capture_from_rates(mean_e / 0.01, sensor, Exposure(integration_s=0.01), rng)
@@ -244,11 +245,11 @@ def test_defects_are_replaced_by_pixels_of_their_own_colour() -> None:
 def test_sound_pixels_of_a_dim_channel_are_no_defects() -> None:
     """Each channel has its own noise in a flat frame: in blue light of 2 % of green's, seven times as much, relative to white."""
     p, shape, rng = (
-        derive(pixel({"quantum_efficiencies": of_channels("RGB")}, **QUIET | {"bits": 16})),
+        Readout.of(derive(pixel({"quantum_efficiencies": of_channels("RGB")}, **QUIET | {"bits": 16}))),
         (80, 80),
         np.random.default_rng(2),
     )
-    layout = Layout.of(p.pixel)
+    layout = Layout.of(p.physics.pixel)
     levels = np.array([1.0, 1.0, 0.02])[layout.numbers(shape)]
     sensor = sample_sensor(p, shape, rng)
     frame = capture_from_rates(0.5 * p.full_well_e * levels / 0.01, sensor, Exposure(integration_s=0.01), rng)

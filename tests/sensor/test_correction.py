@@ -18,8 +18,9 @@ from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.sensor.correction import correct, flat_light_e, outliers, residual_variance_e2, without_defects
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame, Sensor, capture_from_rates, sample_sensor
 
 SHAPE = (200, 250)
@@ -31,12 +32,12 @@ NOISY: dict[str, Any] = {
 }  # fmt: skip
 
 
-def pixel(**over: float) -> PixelPhysics:
-    return derive(Pixel(**NOISY | over))
+def pixel(**over: float) -> Readout:
+    return Readout.of(derive(Pixel(**NOISY | over)))
 
 
-def sensor_of(physics: PixelPhysics, shape: tuple[int, int] = SHAPE, seed: int = 0) -> Sensor:
-    return sample_sensor(physics, shape, np.random.default_rng(seed))
+def sensor_of(readout: Readout, shape: tuple[int, int] = SHAPE, seed: int = 0) -> Sensor:
+    return sample_sensor(readout, shape, np.random.default_rng(seed))
 
 
 def picture(sensor: Sensor, signal_e: float, correction: Correction, key: object = 0) -> Frame:
@@ -68,15 +69,19 @@ def test_correct_leaves_the_closed_form(name: str, signal_e: float) -> None:
 
     Gate 4.5 standard errors, false alarm 7e-6 each. The closed form is of first order: PRNU² and 1/L beside 1 are 4e-4.
     """
-    physics, correction = pixel(), Correction(**CORRECTIONS[name])
-    found = residual(picture(sensor_of(physics), signal_e, correction, name), signal_e)
-    expected = residual_variance_e2(signal_e, TIME_S, physics, correction).total
+    readout, correction = pixel(), Correction(**CORRECTIONS[name])
+    found = residual(picture(sensor_of(readout), signal_e, correction, name), signal_e)
+    expected = residual_variance_e2(signal_e, TIME_S, readout, correction).total
     # What all pixels of a column share has 250 values only.
     rows = correction.column_clamp
-    dark_e = physics.dark_current_e_per_s * TIME_S
-    shared = (physics.column_fpn_e**2 if not rows else 0.0) if not correction.dark_frames else 0.0
+    dark_e = readout.dark_current_e_per_s * TIME_S
+    shared = (readout.physics.column_fpn_e**2 if not rows else 0.0) if not correction.dark_frames else 0.0
     dark_pixel = (
-        physics.reset_noise_e**2 + physics.read_noise_e**2 + dark_e + physics.offset_fpn_e**2 + (physics.dsnu * dark_e) ** 2
+        readout.physics.reset_noise_e**2
+        + readout.read_noise_e**2
+        + dark_e
+        + readout.physics.offset_fpn_e**2
+        + (readout.physics.dsnu * dark_e) ** 2
     )
     shared += dark_pixel / rows if rows else 0.0
     error = np.hypot(expected * np.sqrt(2 / found.size), shared * np.sqrt(2 / SHAPE[1]))
@@ -91,25 +96,25 @@ def test_correct_at_gain_leaves_the_closed_form(name: str) -> None:
     """
     own = pixel(dark_current_e_per_s=2e3, read_noise_after_gain_e=300.0, column_fpn=0.0)
     correction, signal_e, exposure = Correction(**CORRECTIONS[name]), 700.0, Exposure(integration_s=TIME_S, gain_db=20.0)
-    sensor, found = sensor_of(own), []
+    sensor, amplified, found = sensor_of(own), own.at(exposure), []
     frame = capture_from_rates(np.full(SHAPE, signal_e / TIME_S), sensor, exposure, stream("gain"))
-    for each in (sensor, replace(sensor, physics=own.at_gain(20.0))):
+    for each in (sensor, replace(sensor, readout=amplified)):
         found.append(residual(correct(frame, each, correction, stream("correction of gain")), signal_e))
     np.testing.assert_array_equal(*found)
-    expected = residual_variance_e2(signal_e, TIME_S, own.at_gain(20.0), correction).total
+    expected = residual_variance_e2(signal_e, TIME_S, amplified, correction).total
     assert found[0].var() == pytest.approx(expected, rel=4.5 * np.sqrt(2 / found[0].size) + 4e-3)
-    assert residual_variance_e2(0.0, TIME_S, own.at_gain(20.0), Correction(dark_frames=1)).total == pytest.approx(
-        2 * (20.0**2 + 30.0**2 + own.reset_noise_e**2 + 40.0 + 1 / 12 / own.at_gain(20.0).dn_per_e ** 2), rel=1e-12
+    assert residual_variance_e2(0.0, TIME_S, amplified, Correction(dark_frames=1)).total == pytest.approx(
+        2 * (20.0**2 + 30.0**2 + own.physics.reset_noise_e**2 + 40.0 + 1 / 12 / amplified.dn_per_e**2), rel=1e-12
     )
 
 
 def test_correct_removes_what_it_claims() -> None:
     """More frames than pixels have noise leave the temporal noise of the picture alone, within 1 %."""
-    physics, correction = pixel(), Correction(dark_frames=200, flat_frames=200)
+    readout, correction = pixel(), Correction(dark_frames=200, flat_frames=200)
     signal_e = 8000.0
-    found = residual(picture(sensor_of(physics, (60, 80)), signal_e, correction), signal_e)
+    found = residual(picture(sensor_of(readout, (60, 80)), signal_e, correction), signal_e)
     alone = residual_variance_e2(signal_e, TIME_S, pixel(prnu=0, dsnu=0, offset_fpn=0, column_fpn=0), Correction()).total
-    uncorrected = residual_variance_e2(signal_e, TIME_S, physics, Correction()).total
+    uncorrected = residual_variance_e2(signal_e, TIME_S, readout, Correction()).total
     assert uncorrected > 3 * alone
     assert found.var() == pytest.approx(alone, rel=0.01 + 4.5 * np.sqrt(2 / found.size))
 
@@ -119,8 +124,8 @@ def test_dark_frames_remove_a_clipped_dark_level() -> None:
 
     The mean of 50 000 differences of two pixels' clipped noise: standard error below 0.3 e-; gate 4.5 of them.
     """
-    physics = pixel(black_level_dn=0.0, dark_current_e_per_s=0.0, offset_fpn=0.01)
-    sensor = sensor_of(physics)
+    readout = pixel(black_level_dn=0.0, dark_current_e_per_s=0.0, offset_fpn=0.01)
+    sensor = sensor_of(readout)
     plain = capture_from_rates(np.zeros(SHAPE), sensor, Exposure(integration_s=TIME_S), stream("p")).estimate_e.mean()
     found = residual(picture(sensor, 0.0, Correction(dark_frames=4)), 0.0)
     assert plain > 40.0
@@ -129,25 +134,25 @@ def test_dark_frames_remove_a_clipped_dark_level() -> None:
 
 def test_flat_frames_keep_the_mean_and_the_scene() -> None:
     """The mean response is 1, so that a picture's mean is its light; a scene with a gradient stays one."""
-    physics = pixel()
-    sensor = sensor_of(physics)
+    readout = pixel()
+    sensor = sensor_of(readout)
     ramp = np.linspace(2000.0, 12000.0, SHAPE[1]) * np.ones((SHAPE[0], 1))
     frame = capture_from_rates(ramp / TIME_S, sensor, Exposure(integration_s=TIME_S), stream("ramp"))
     found = correct(frame, sensor, Correction(dark_frames=16, flat_frames=16), stream("c")).estimate_e
-    spread = np.sqrt(residual_variance_e2(12000.0, TIME_S, physics, Correction(dark_frames=16, flat_frames=16)).total)
+    spread = np.sqrt(residual_variance_e2(12000.0, TIME_S, readout, Correction(dark_frames=16, flat_frames=16)).total)
     assert np.abs(found.mean(axis=0) - ramp[0]).max() < 5 * spread / np.sqrt(SHAPE[0]) + 2e-3 * 12000  # the mean of 50 000 gains
 
 
 def test_correct_kinds_have_streams_of_their_own() -> None:
     """Dark rows do not change the noise of the dark frames: with noiseless rows the results are equal."""
-    physics, off = pixel(), {"dsnu": 0, "offset_fpn": 0, "read_noise_e": 0, "dark_current_e_per_s": 0, "column_fpn": 0}
+    readout, off = pixel(), {"dsnu": 0, "offset_fpn": 0, "read_noise_e": 0, "dark_current_e_per_s": 0, "column_fpn": 0}
     quiet = pixel(**off, black_level_dn=100)
     sensor = sensor_of(quiet, (20, 30))
     one = picture(sensor, 5000.0, Correction(flat_frames=2)).estimate_e
     other = picture(sensor, 5000.0, Correction(flat_frames=2, column_clamp=3)).estimate_e
     np.testing.assert_allclose(one, other, rtol=1e-6)
-    again = picture(sensor_of(physics), 100.0, Correction(dark_frames=2)).estimate_e
-    np.testing.assert_array_equal(again, picture(sensor_of(physics), 100.0, Correction(dark_frames=2)).estimate_e)
+    again = picture(sensor_of(readout), 100.0, Correction(dark_frames=2)).estimate_e
+    np.testing.assert_array_equal(again, picture(sensor_of(readout), 100.0, Correction(dark_frames=2)).estimate_e)
 
 
 # --- defects ----------------------------------------------------------------------------------------------------------
@@ -167,8 +172,8 @@ def test_defects_take_the_mean_of_sound_neighbours() -> None:
 
 def test_defects_are_found_in_dark_and_flat_frames() -> None:
     """A hot pixel in dark frames, a dead one in flat frames; sound pixels are outliers with a probability of 2e-9."""
-    physics = pixel(dsnu=0.0)
-    sensor = sensor_of(physics)
+    readout = pixel(dsnu=0.0)
+    sensor = sensor_of(readout)
     assert sensor.gain is not None
     gain, hot = sensor.gain.copy(), np.zeros(SHAPE)
     gain[10, 10] = 0.0
@@ -194,9 +199,9 @@ def test_outliers_of_equal_values_are_none() -> None:
 
 
 def test_flat_level_below_dark_charge_raises() -> None:
-    physics = pixel(dark_current_e_per_s=9e5)
+    readout = pixel(dark_current_e_per_s=9e5)
     with pytest.raises(PixsimError, match=r"correction.flat_level: got 0.5, with 1.8e\+04 e- of dark charge"):
-        flat_light_e(physics, Correction(flat_frames=1), TIME_S)
+        flat_light_e(readout, Correction(flat_frames=1), TIME_S)
 
 
 @pytest.mark.parametrize("wrong", [{"defects": True}, {"dark_frames": -1}, {"flat_level": 0}, {"column_clamp": 1.5}, {"darks": 2}])

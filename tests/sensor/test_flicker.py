@@ -84,7 +84,7 @@ def test_frames_of_a_global_shutter_differ_as_wholes() -> None:
 def test_exposures_of_a_burst_saturate_by_themselves() -> None:
     """Two exposures of half a period, at its crest and its trough: the sum is that of steady light, and only the crest is full."""
     steady = Exposure(integration_s=0.01, frames=2)
-    full_e = SENSOR.physics.saturation_e
+    full_e = SENSOR.readout.saturation_e
     rate = np.full(SENSOR.shape, 0.8 * full_e / 0.005)
     lamp = {"flicker_hz": HZ, "flicker_depth": 0.9, "flicker_phase_deg": 90.0}
     frames = [

@@ -25,6 +25,7 @@ from pixsim.sensor.motion import STANDING, LightSpectrum, Moving
 from pixsim.sensor.motion_options import STILL, Motion
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import capture, make_sensor
 from pixsim.sensor.stages import STAGES, moving_in, stage_words
 from pixsim.studies.prepare import prepare
@@ -255,12 +256,12 @@ def test_units_of_one_velocity_leave_the_same_room() -> None:
     pixel, camera, exposure = Pixel(technology="4t-bsi", pitch_um=4.0, colour=colour), Camera(), Exposure(integration_s=1e-3)
     each = Motion(pixels_per_s=(1e4, 0.0)), Motion(image_um_per_s=(4e4, 0.0))
     first, other = (imaging(camera, pixel, exposure, motion=motion).scored_border_um for motion in each)
-    assert first == other == pytest.approx(derive(pixel).as_read.border_um + 20.0)
+    assert first == other == pytest.approx(derive(pixel).border_um + 20.0)
     # The lines of a rolling shutter are those that are read: half as many.
     rolling = exposure.model_copy(update={"shutter": "rolling", "line_time_us": 1.0})
     lines = 1e3 * camera.height_mm / 8.0
     found = imaging(camera, pixel, rolling, motion=Motion(image_um_per_s=(4e4, 0.0))).scored_border_um
-    assert found == pytest.approx(derive(pixel).as_read.border_um + 20.0 + 0.04 * lines / 2)
+    assert found == pytest.approx(derive(pixel).border_um + 20.0 + 0.04 * lines / 2)
     study = Study(
         name="a", exposure=rolling, motion=Motion(image_um_per_s=(4e4, 0.0)), technologies=["4t-bsi"],
         pixel=pixel.model_dump(exclude_unset=True, exclude={"technology", "pitch_um"}),
@@ -328,7 +329,7 @@ def test_stages_say_what_they_do_and_name_their_settings() -> None:
     assert moving_in((3.0, -2.0), 0.5, run.exposure).path_um == (-1.0, 1.5)
     assert moving_in((3.0, -2.0), 0.5, run.exposure).row_um == pytest.approx((-2e-5, 3e-5), rel=1e-12)
     assert moving_in((3.0, -2.0), 0.5, Exposure()).row_um == (0.0, 0.0)
-    assert derive(Pixel()).at_exposure(Exposure()).exposures == 1
+    assert Readout.of(derive(Pixel()), Exposure()).exposures == 1
     for stage in STAGES.values():
         for name in stage.settings:
             assert name.partition(".")[2] in type(getattr(Run(), stage.table)).model_fields

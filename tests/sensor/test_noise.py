@@ -18,8 +18,9 @@ from pixsim.scene.plan import decide_noise
 from pixsim.sensor.correction import residual_variance_e2
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.noise import SOURCES, NoiseSource
-from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import NUMBERS, Pixel
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import dark_spread_e, frame_variance_dn2, read_out, sample_sensor
 from pixsim.viewer.dark_clip import dark_clip
 
@@ -28,11 +29,11 @@ SHEET |= {"bits": 14, "black_level_dn": 500.0, "gain_e_per_dn": 0.5}
 ROWS, COLUMNS = 40_000, 16
 
 
-def frames(physics: PixelPhysics, count: int, mean_e: float = 100.0) -> np.ndarray:
+def frames(readout: Readout, count: int, mean_e: float = 100.0) -> np.ndarray:
     """Frames of one sensor in electrons above the black level, (count, rows, columns)."""
-    sensor = sample_sensor(physics, (ROWS, COLUMNS), np.random.default_rng(5))
+    sensor = sample_sensor(readout, (ROWS, COLUMNS), np.random.default_rng(5))
     shots = [read_out(np.full(sensor.shape, mean_e), 0.01, sensor, np.random.default_rng(9 + number)) for number in range(count)]
-    return (np.stack(shots) - physics.pixel.black_level_dn) / physics.dn_per_e
+    return (np.stack(shots) - readout.adc.black_level_dn) / readout.dn_per_e
 
 
 def within(values: np.ndarray, expected: float) -> bool:
@@ -43,26 +44,26 @@ def within(values: np.ndarray, expected: float) -> bool:
 
 @pytest.mark.parametrize("row_noise_e", [0.7, 6.0])
 def test_row_noise_is_shared_along_rows_and_new_in_each_frame(row_noise_e: float) -> None:
-    physics = derive(Pixel(**SHEET, row_noise_e=row_noise_e))
-    first, second = frames(physics, 2)
+    readout = Readout.of(derive(Pixel(**SHEET, row_noise_e=row_noise_e)))
+    first, second = frames(readout, 2)
     of_pixel_e2 = 100.0 + 2.0**2 + 0.5**2 / 12
     # Rows are independent: the mean over a row keeps the row's own value, and so does the product of two of its pixels.
     assert within((first - 100.0).mean(axis=1) ** 2, row_noise_e**2 + of_pixel_e2 / COLUMNS)
     assert within((first[:, 0] - 100.0) * (first[:, 1] - 100.0), row_noise_e**2)
     assert within((first - 100.0).mean(axis=1) * (second - 100.0).mean(axis=1), 0.0), "nothing of it is fixed"
-    whole = float(frame_variance_dn2(100.0, 0.01, physics)) / physics.dn_per_e**2
+    whole = float(frame_variance_dn2(100.0, 0.01, readout)) / readout.dn_per_e**2
     assert whole == pytest.approx(100.0 + 2.0**2 + row_noise_e**2 + 0.5**2 / 12, rel=1e-12)
     assert within(((first - 100.0) ** 2).mean(axis=1), whole)
 
 
 def test_no_row_noise_leaves_the_random_numbers_as_they_are() -> None:
-    without, zero = (derive(Pixel(**SHEET, **more)) for more in ({}, {"row_noise_e": 0.0}))
+    without, zero = (Readout.of(derive(Pixel(**SHEET, **more))) for more in ({}, {"row_noise_e": 0.0}))
     np.testing.assert_array_equal(frames(without, 1), frames(zero, 1))
 
 
 def test_sum_that_holds_row_noise_takes_its_place() -> None:
     own = {name: value for name, value in SHEET.items() if name != "read_noise_e"}
-    assert derive(Pixel(**own, temporal_dark_noise_e=3.0)).noise_floor_e == 3.0
+    assert Readout.of(derive(Pixel(**own, temporal_dark_noise_e=3.0))).noise_floor_e == 3.0
     with pytest.raises(ValueError, match="temporal_dark_noise_e and row_noise_e state the same quantity"):
         Pixel(**own, temporal_dark_noise_e=3.0, row_noise_e=1.0)
 
@@ -73,31 +74,31 @@ CONSTANT = [source for source in SOURCES if not source.grows_with]
 @pytest.mark.parametrize(("is_temporal", "along"), [(True, "pixel"), (True, "row"), (False, "pixel"), (False, "column")])
 def test_a_new_source_stands_in_every_closed_form(is_temporal: bool, along: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """A source of 30 e- beside none: what states a variance, a spread or a list has it."""
-    physics = derive(Pixel(**SHEET | {"read_noise_e": 0.0}))
+    readout = Readout.of(derive(Pixel(**SHEET | {"read_noise_e": 0.0})))
     new = NoiseSource("a new source", lambda _: 30.0, is_temporal=is_temporal, along=along)
-    before = {name: number(physics) for name, number in CLOSED_FORMS.items()}
+    before = {name: number(readout) for name, number in CLOSED_FORMS.items()}
     for module in ("noise", "plan"):
         place = {"noise": "pixsim.sensor", "plan": "pixsim.scene"}[module]
         monkeypatch.setattr(f"{place}.{module}.SOURCES", (*SOURCES, new))
-    added = {name: number(physics) - before[name] for name, number in CLOSED_FORMS.items()}
+    added = {name: number(readout) - before[name] for name, number in CLOSED_FORMS.items()}
     temporal_only = {"noise floor", "temporal variance"}
     expected = {name: 900.0 if is_temporal or name not in temporal_only else 0.0 for name in CLOSED_FORMS}
     expected["offsets"] = 0.0 if is_temporal else 900.0
     assert added == {name: pytest.approx(value, rel=1e-9) for name, value in expected.items()}
-    assert "a new source" in decide_noise(physics, full=True).reason
+    assert "a new source" in decide_noise(readout, full=True).reason
 
 
 @pytest.mark.parametrize(("is_temporal", "along"), [(True, "pixel"), (True, "row"), (False, "pixel"), (False, "column")])
 def test_a_new_source_is_drawn_as_closed_forms_have_it(is_temporal: bool, along: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """A source of 30 e-, shared along its lines, and the same in another frame if it is fixed."""
-    physics = derive(Pixel(**SHEET))
-    alone_e2 = float(frame_variance_dn2(100.0, 0.01, physics)) / physics.dn_per_e**2
+    readout = Readout.of(derive(Pixel(**SHEET)))
+    alone_e2 = float(frame_variance_dn2(100.0, 0.01, readout)) / readout.dn_per_e**2
     new = NoiseSource("a new source", lambda _: 30.0, is_temporal=is_temporal, along=along)
     monkeypatch.setattr("pixsim.sensor.noise.SOURCES", (*SOURCES, new))
-    assert float(frame_variance_dn2(100.0, 0.01, physics)) / physics.dn_per_e**2 == pytest.approx(alone_e2 + 900.0, rel=1e-12)
-    sensor = sample_sensor(physics, (COLUMNS, ROWS) if along == "column" else (ROWS, COLUMNS), np.random.default_rng(5))
+    assert float(frame_variance_dn2(100.0, 0.01, readout)) / readout.dn_per_e**2 == pytest.approx(alone_e2 + 900.0, rel=1e-12)
+    sensor = sample_sensor(readout, (COLUMNS, ROWS) if along == "column" else (ROWS, COLUMNS), np.random.default_rng(5))
     frames = [read_out(np.full(sensor.shape, 100.0), 0.01, sensor, np.random.default_rng(seed)) for seed in (9, 10)]
-    noise_e = [(frame - physics.pixel.black_level_dn) / physics.dn_per_e - 100.0 for frame in frames]
+    noise_e = [(frame - readout.adc.black_level_dn) / readout.dn_per_e - 100.0 for frame in frames]
     first, second = (each.mean(axis={"row": 1, "column": 0}[along]) if along != "pixel" else each.ravel() for each in noise_e)
     assert within(first**2, 900.0 + alone_e2 / (1 if along == "pixel" else COLUMNS))
     assert within(first * second, 0.0 if is_temporal else 900.0)
@@ -118,13 +119,13 @@ def test_a_source_that_no_frame_would_have_is_refused(kind: dict[str, Any], mess
         NoiseSource("transfer noise", lambda _: 1.0, **kind)
 
 
-def residual_e2(physics: PixelPhysics) -> float:
+def residual_e2(readout: Readout) -> float:
     """What a camera without correction leaves of all noise but that of light."""
-    found = residual_variance_e2(0.0, 0.01, physics, Correction())
+    found = residual_variance_e2(0.0, 0.01, readout, Correction())
     return float(found.temporal + found.offsets)
 
 
-CLOSED_FORMS: dict[str, Callable[[PixelPhysics], float]] = {
+CLOSED_FORMS: dict[str, Callable[[Readout], float]] = {
     "noise floor": lambda p: p.noise_floor_e**2,
     "offsets": lambda p: p.offset_e**2,
     "temporal variance": lambda p: float(frame_variance_dn2(0.0, 0.01, p, fixed_pattern=False)) / p.dn_per_e**2,

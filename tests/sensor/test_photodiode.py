@@ -20,6 +20,7 @@ from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.photodiode import charge_from_total_e, collected_charge_e, default_diode, diode_of
 from pixsim.sensor.pixel import WELL_REFERENCE_S, derive, diode_full_v, junction_charge_fc, junction_ff
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.reading import Readout
 
 PITCHES_UM = {"0.5um": 8.7, "0.35um": 6.5, "0.25um": 5.3, "0.18um": 3.9}
 SATURATED = (1e9, 0.03)  # e-/s, s: 30 million electrons into a well of 0.2
@@ -194,10 +195,10 @@ def test_diode_full_v_without_current_is_tangent_bias():
     assert diode_full_v(diode_of(physics)) == -0.5 * physics.technology.junction.pb_v
     assert saturation.linear_limit_e(diode_of(physics), physics.full_well_e, 0.1) == math.inf
     for conversion in ("linear", "junction"):
-        physics = derive(pixel(well_limit="diode", dark_current_e_per_s=0, conversion=conversion))
-        level = saturation.stored_signal_e(np.array([0.0, 1.0, 2.0, 1e6]) * physics.full_well_e, 0.1, physics)
+        readout = Readout.of(derive(pixel(well_limit="diode", dark_current_e_per_s=0, conversion=conversion)))
+        level = saturation.stored_signal_e(np.array([0.0, 1.0, 2.0, 1e6]) * readout.full_well_e, 0.1, readout)
         assert np.all(np.diff(level) > 0)
-        assert level[1] == pytest.approx(physics.full_well_e, rel=1e-6)
+        assert level[1] == pytest.approx(readout.full_well_e, rel=1e-6)
 
 
 @pytest.mark.parametrize("options", [{"well_limit": "diode"}, {"conversion": "junction"}, {"capacitance": "paper"}])
@@ -212,8 +213,8 @@ def test_well_pinned_photodiode_options_raise(options):
 # --- Signal of the sensor ---
 
 
-def frame(physics, mean_e: float, integration_s: float = 0.03, shape=SHAPE, seed: int = 3) -> np.ndarray:
-    sensor = sensors.sample_sensor(physics, shape, np.random.default_rng(1))
+def frame(readout, mean_e: float, integration_s: float = 0.03, shape=SHAPE, seed: int = 3) -> np.ndarray:
+    sensor = sensors.sample_sensor(readout, shape, np.random.default_rng(1))
     return sensors.read_out(np.full(shape, mean_e), integration_s, sensor, np.random.default_rng(seed))
 
 
@@ -231,43 +232,43 @@ def exact_level_e(physics, generated_e: np.ndarray, integration_s: float) -> np.
 @pytest.mark.parametrize(("limit", "conversion"), [*itertools.product(("swing", "diode"), ("linear", "junction"))])
 @pytest.mark.parametrize("share", [0.01, 0.5, 0.97, 1.03, 30.0])
 def test_read_out_without_noise_matches_kernel(monkeypatch, limit, conversion, share):
-    physics = derive(pixel(well_limit=limit, conversion=conversion, bits=16, **QUIET))
+    readout = Readout.of(derive(pixel(well_limit=limit, conversion=conversion, bits=16, **QUIET)))
     monkeypatch.setattr(sensors, "_shot_noise", lambda mean_e, rng: mean_e.copy())
-    light_e = share * physics.full_well_e
-    level = exact_level_e(physics, np.array(light_e + 0.03 * physics.dark_current_e_per_s), 0.03)
-    expected = min(float(level) * physics.dn_per_e, 2**16 - 1)
+    light_e = share * readout.full_well_e
+    level = exact_level_e(readout.physics, np.array(light_e + 0.03 * readout.dark_current_e_per_s), 0.03)
+    expected = min(float(level) * readout.dn_per_e, 2**16 - 1)
     # Rounding, and 1e-6 of the well: 0.07 DN.
-    assert np.abs(frame(physics, light_e) - expected).max() <= 0.57
+    assert np.abs(frame(readout, light_e) - expected).max() <= 0.57
 
 
 def test_read_out_soft_saturation_shapes_shot_noise():
-    physics = derive(pixel(well_limit="diode", bits=20, **QUIET))
-    light_e = 0.99 * physics.full_well_e
-    result = frame(physics, light_e, shape=(500, 500))
-    mean_e = light_e + 0.03 * physics.dark_current_e_per_s
+    readout = Readout.of(derive(pixel(well_limit="diode", bits=20, **QUIET)))
+    light_e = 0.99 * readout.full_well_e
+    result = frame(readout, light_e, shape=(500, 500))
+    mean_e = light_e + 0.03 * readout.dark_current_e_per_s
     x, weight = np.polynomial.hermite_e.hermegauss(21)
-    levels = exact_level_e(physics, mean_e + math.sqrt(mean_e) * x, 0.03) * physics.dn_per_e
+    levels = exact_level_e(readout.physics, mean_e + math.sqrt(mean_e) * x, 0.03) * readout.dn_per_e
     mean = (weight * levels).sum() / weight.sum()
     spread = math.sqrt((weight * (levels - mean) ** 2).sum() / weight.sum())
     assert result.mean() == pytest.approx(mean, abs=5 * spread / 500)
     assert result.std() == pytest.approx(spread, rel=5 / math.sqrt(2 * 250_000))
     # Unlike the linear law's: the corner takes a third of the noise and 0.5 % of the signal.
-    assert spread < 0.8 * math.sqrt(mean_e) * physics.dn_per_e
-    assert mean < 0.999 * mean_e * physics.dn_per_e
+    assert spread < 0.8 * math.sqrt(mean_e) * readout.dn_per_e
+    assert mean < 0.999 * mean_e * readout.dn_per_e
 
 
 def test_read_out_below_saturation_both_well_limits_agree():
     options = QUIET | {"full_well_e": 150_000, "prnu": 0.02, "read_noise_e": 20}
     for mean_e, differ in ((90_000, False), (148_000, True)):
-        swing, diode = (frame(derive(pixel(well_limit=limit, **options)), mean_e) for limit in ("swing", "diode"))
+        swing, diode = (frame(Readout.of(derive(pixel(well_limit=limit, **options))), mean_e) for limit in ("swing", "diode"))
         assert np.any(swing != diode) == differ
 
 
 @pytest.mark.parametrize("technology", PITCHES_UM)
 def test_converted_junction_nonlinearity_is_two_percent(technology):
-    physics = derive(pixel(technology, conversion="junction"))
-    charge = np.linspace(0, 1, 201) * physics.full_well_e
-    bend = saturation.stored_signal_e(charge, 0.03, physics) / physics.full_well_e - charge / physics.full_well_e
+    readout = Readout.of(derive(pixel(technology, conversion="junction")))
+    charge = np.linspace(0, 1, 201) * readout.full_well_e
+    bend = saturation.stored_signal_e(charge, 0.03, readout) / readout.full_well_e - charge / readout.full_well_e
     # 1.61, 1.75, 1.93 and 0.99 %, half way up; both ends stay.
     stated = {"0.5um": 0.0161, "0.35um": 0.0175, "0.25um": 0.0193, "0.18um": 0.0099}[technology]
     assert bend.max() == pytest.approx(stated, abs=1e-4)
@@ -277,15 +278,15 @@ def test_converted_junction_nonlinearity_is_two_percent(technology):
 
 
 def test_converted_constant_capacitance_is_linear():
-    physics = derive(pixel(capacitance="paper", conversion="junction"))
-    charge = np.linspace(0, 1.3, 50) * physics.full_well_e
-    np.testing.assert_array_equal(saturation.stored_signal_e(charge, 0.03, physics), np.minimum(charge, physics.full_well_e))
+    readout = Readout.of(derive(pixel(capacitance="paper", conversion="junction")))
+    charge = np.linspace(0, 1.3, 50) * readout.full_well_e
+    np.testing.assert_array_equal(saturation.stored_signal_e(charge, 0.03, readout), np.minimum(charge, readout.full_well_e))
 
 
 @pytest.mark.parametrize("integration_s", [1e-3, 0.1, 3600.0])
 def test_linear_limit_loss_is_1e_6_of_well(integration_s):
-    physics = derive(pixel(well_limit="diode"))
-    diode, well_e = diode_of(physics), physics.full_well_e
+    readout = Readout.of(derive(pixel(well_limit="diode")))
+    diode, well_e = diode_of(readout.physics), readout.full_well_e
     limit_e = saturation.linear_limit_e(diode, well_e, integration_s)
     for share, beyond in ((1 - 1e-6, False), (1 + 1e-4, True)):
         generated = np.array([share * limit_e])
@@ -293,14 +294,14 @@ def test_linear_limit_loss_is_1e_6_of_well(integration_s):
     # Below it no table is made.
     saturation.level_table.cache_clear()
     dim = np.array([0.0, 0.999 * limit_e])
-    assert saturation.stored_signal_e(dim, integration_s, physics) is dim
+    assert saturation.stored_signal_e(dim, integration_s, readout) is dim
     assert saturation.level_table.cache_info().currsize == 0
-    saturation.stored_signal_e(1.01 * dim, integration_s, physics)
-    saturation.stored_signal_e(1.02 * dim, integration_s, physics)
+    saturation.stored_signal_e(1.01 * dim, integration_s, readout)
+    saturation.stored_signal_e(1.02 * dim, integration_s, readout)
     assert saturation.level_table.cache_info() == (1, 1, 64, 1)
 
 
 def test_integration_time_targets_well_of_limit():
-    wells = (derive(pixel(well_limit=limit)) for limit in ("swing", "diode"))
-    swing_s, diode_s = (sensors.integration_time_s(Exposure(max_integration_s=10), physics, 1e7) for physics in wells)
+    wells = (Readout.of(derive(pixel(well_limit=limit))) for limit in ("swing", "diode"))
+    swing_s, diode_s = (sensors.integration_time_s(Exposure(max_integration_s=10), readout, 1e7) for readout in wells)
     assert diode_s / swing_s == pytest.approx(2.267, abs=1e-3)

@@ -17,6 +17,7 @@ from pixsim.sensor import pixel as pixels
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel, excluded_by
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import capture_from_rates, frame_variance_dn2, integration_time_s, least_black_level_dn, sample_sensor
 from pixsim.sensor.technology import Technology, load_technology, with_fill_factor_law
 from pixsim.studies.settings import Study
@@ -138,14 +139,14 @@ SANITY = {
 
 @pytest.mark.parametrize(("name", "capacitance"), [(name, kind) for name, row in SANITY.items() for kind in row])
 def test_derive_packaged_process_matches_table(name, capacitance):
-    physics = pixels.derive(Pixel(pitch_um=6.5, capacitance=capacitance))
+    readout = Readout.of(pixels.derive(Pixel(pitch_um=6.5, capacitance=capacitance)))
     result = {
-        "dark_e": physics.dark_current_e_per_s * 0.03,
-        "dynamic_range_db": physics.dynamic_range_db(0.03),
-        "snr20_db": physics.snr_db(0.2 * physics.full_well_e, 0.03),
+        "dark_e": readout.dark_current_e_per_s * 0.03,
+        "dynamic_range_db": readout.dynamic_range_db(0.03),
+        "snr20_db": readout.snr_db(0.2 * readout.full_well_e, 0.03),
     }
     stated, tolerance = SANITY[name][capacitance]
-    assert result.get(name, getattr(physics, name, None)) == pytest.approx(stated, abs=tolerance)
+    assert result.get(name, getattr(readout.physics, name, None)) == pytest.approx(stated, abs=tolerance)
 
 
 def test_dark_current_is_area_times_density_and_doubles():
@@ -162,22 +163,22 @@ def test_dark_current_is_area_times_density_and_doubles():
 
 def test_dynamic_range_and_snr_match_hand_calculation():
     options = {"full_well_e": 20_000, "dark_current_e_per_s": 5000, "read_noise_e": 20, "reset_noise_factor": 0}
-    physics = pixels.derive(Pixel(**options))
+    readout = Readout.of(pixels.derive(Pixel(**options)))
     # Chen et al. (2000), eq. (1): (q_max - i_dc t) / √(σ_r² + i_dc t) with t = 0.2 s: 19 000/√1400 = 507.8.
-    assert physics.dynamic_range_db(0.2) == pytest.approx(20 * math.log10(19_000 / math.sqrt(1400)), rel=1e-12)
-    assert physics.dynamic_range_db(0.2) == pytest.approx(54.114, abs=1e-3)
+    assert readout.dynamic_range_db(0.2) == pytest.approx(20 * math.log10(19_000 / math.sqrt(1400)), rel=1e-12)
+    assert readout.dynamic_range_db(0.2) == pytest.approx(54.114, abs=1e-3)
     # Eq. (2): i_ph t / √(σ_r² + (i_ph + i_dc) t) for 8600 e-: 86.
-    assert physics.snr_db(8600, 0.2) == pytest.approx(20 * math.log10(86), rel=1e-12)
+    assert readout.snr_db(8600, 0.2) == pytest.approx(20 * math.log10(86), rel=1e-12)
 
 
 def test_dark_noise_adds_in_quadrature():
-    physics = pixels.derive(Pixel(dark_current_e_per_s=0, read_noise_e=40))
-    noise_e = math.hypot(40, physics.reset_noise_e)
-    assert physics.dynamic_range_db(0.03) == pytest.approx(20 * math.log10(physics.full_well_e / noise_e), rel=1e-12)
+    readout = Readout.of(pixels.derive(Pixel(dark_current_e_per_s=0, read_noise_e=40)))
+    noise_e = math.hypot(40, readout.physics.reset_noise_e)
+    assert readout.dynamic_range_db(0.03) == pytest.approx(20 * math.log10(readout.full_well_e / noise_e), rel=1e-12)
 
 
 def test_dynamic_range_paper_capacitance_matches_figure_2a():
-    rows = [pixels.derive(Pixel(pitch_um=p, capacitance="paper")) for p in np.linspace(5.3, 15, 20)]
+    rows = [Readout.of(pixels.derive(Pixel(pitch_um=p, capacitance="paper"))) for p in np.linspace(5.3, 15, 20)]
     dr = [p.dynamic_range_db(0.03) for p in rows]
     snr = [p.snr_db(0.2 * p.full_well_e, 0.03) for p in rows]
     # The axis runs from 35 to 70 dB at 30 ms and both curves grow.
@@ -192,18 +193,18 @@ def test_dynamic_range_paper_capacitance_matches_figure_2a():
 
 @pytest.mark.parametrize("integration_s", [2.0, 3.0])
 def test_dynamic_range_full_of_dark_charge_raises(integration_s):
-    physics = pixels.derive(Pixel(full_well_e=10_000, dark_current_e_per_s=5000))
-    assert math.isfinite(physics.dynamic_range_db(1.999))
+    readout = Readout.of(pixels.derive(Pixel(full_well_e=10_000, dark_current_e_per_s=5000)))
+    assert math.isfinite(readout.dynamic_range_db(1.999))
     with pytest.raises(PixsimError, match=r"dynamic range: got .*dark charge.*1e\+04"):
-        physics.dynamic_range_db(integration_s)
+        readout.dynamic_range_db(integration_s)
 
 
 def test_snr_zero_signal_is_minus_infinity():
-    physics = pixels.derive(Pixel(read_noise_e=0, reset_noise_factor=0, dark_current_e_per_s=0))
-    assert physics.snr_db(0.0, 1.0) == -math.inf
-    assert physics.snr_db(100.0, 1.0) == pytest.approx(20.0, abs=1e-12)
+    readout = Readout.of(pixels.derive(Pixel(read_noise_e=0, reset_noise_factor=0, dark_current_e_per_s=0)))
+    assert readout.snr_db(0.0, 1.0) == -math.inf
+    assert readout.snr_db(100.0, 1.0) == pytest.approx(20.0, abs=1e-12)
     with pytest.raises(PixsimError, match="signal_e: got -1"):
-        physics.snr_db(-1.0, 1.0)
+        readout.snr_db(-1.0, 1.0)
 
 
 # --- Response curve ---
@@ -310,12 +311,14 @@ def test_quantum_efficiency_above_1_at_another_wavelength_raises_with_the_least_
 
 def test_derive_given_values_replace_derived():
     given = {"fill_factor": 0.9, "full_well_e": 6000, "read_noise_e": 3, "prnu": 0.007, "dsnu": 0, "offset_fpn": 1e-3}
-    physics = pixels.derive(Pixel(pitch_um=1.4, bits=12, black_level_dn=64, column_fpn=0, dark_current_e_per_s=2, **given))
-    assert (physics.fill_factor, physics.full_well_e, physics.prnu, physics.dsnu) == (0.9, 6000, 0.007, 0)
-    assert physics.photodiode_side_um**2 == pytest.approx(0.9 * 1.4**2, rel=1e-12)
+    readout = Readout.of(
+        pixels.derive(Pixel(pitch_um=1.4, bits=12, black_level_dn=64, column_fpn=0, dark_current_e_per_s=2, **given))
+    )
+    assert (readout.physics.fill_factor, readout.full_well_e, readout.prnu, readout.physics.dsnu) == (0.9, 6000, 0.007, 0)
+    assert readout.physics.photodiode_side_um**2 == pytest.approx(0.9 * 1.4**2, rel=1e-12)
     # Full well is the top code, less the black level; fixed patterns are fractions of the well.
-    assert physics.dn_per_e == pytest.approx((4095 - 64) / 6000, rel=1e-12)
-    assert (physics.offset_fpn_e, physics.column_fpn_e) == pytest.approx((6.0, 0.0))
+    assert readout.dn_per_e == pytest.approx((4095 - 64) / 6000, rel=1e-12)
+    assert (readout.physics.offset_fpn_e, readout.physics.column_fpn_e) == pytest.approx((6.0, 0.0))
 
 
 @pytest.mark.parametrize(("name", "pitch_um", "full_well_e"), [("4t-bsi", 1.4, 6000), ("4t-fsi", 6.0, 25000)])
@@ -383,11 +386,11 @@ def test_derive_words_of_data_sheet_closed_form() -> None:
     """EMVA's numbers are what the pixel has, whatever the technology: σ_d includes the noise of its reset."""
     for technology in ("none", "0.35um"):
         words = {"temporal_dark_noise_e": 6.8, "prnu_percent": 0.5, "dsnu_e": 1.9}
-        physics = derive(sheet_with(pitch_um=6.5, technology=technology, **words))
-        assert (physics.noise_floor_e, physics.reset_noise_e, physics.prnu) == (6.8, 0.0, 0.005)
-        assert (physics.offset_fpn_e, physics.column_fpn_e) == (1.9, 0.0)
-        frame_e2 = frame_variance_dn2(1000.0, 0.0, physics) / physics.dn_per_e**2
-        assert frame_e2 == pytest.approx(1000 + 6.8**2 + (0.005 * 1000) ** 2 + 1.9**2 + 1 / 12 / physics.dn_per_e**2, rel=1e-12)
+        readout = Readout.of(derive(sheet_with(pitch_um=6.5, technology=technology, **words)))
+        assert (readout.noise_floor_e, readout.physics.reset_noise_e, readout.prnu) == (6.8, 0.0, 0.005)
+        assert (readout.physics.offset_fpn_e, readout.physics.column_fpn_e) == (1.9, 0.0)
+        frame_e2 = frame_variance_dn2(1000.0, 0.0, readout) / readout.dn_per_e**2
+        assert frame_e2 == pytest.approx(1000 + 6.8**2 + (0.005 * 1000) ** 2 + 1.9**2 + 1 / 12 / readout.dn_per_e**2, rel=1e-12)
 
 
 @pytest.mark.parametrize(("at_c", "expected"), [(0.0, 1.0), (-50.0, 0.03), (9.884, 2.0)])
@@ -412,22 +415,22 @@ def test_derive_small_well_of_a_smaller_pixel_raises_with_other_unit() -> None:
 
 @pytest.mark.parametrize(("gain_e_per_dn", "saturation_e"), [(2.0, 8190.0), (3.0, 10_000.0)])
 def test_derive_gain_saturates_at_the_lower_of_well_and_adc(gain_e_per_dn: float, saturation_e: float) -> None:
-    physics = derive(sheet_with(gain_e_per_dn=gain_e_per_dn, bits=12))
-    assert (physics.full_well_e, physics.saturation_e) == (10_000.0, saturation_e)
-    assert physics.dn_per_e == 1 / gain_e_per_dn
+    readout = Readout.of(derive(sheet_with(gain_e_per_dn=gain_e_per_dn, bits=12)))
+    assert (readout.full_well_e, readout.saturation_e) == (10_000.0, saturation_e)
+    assert readout.dn_per_e == 1 / gain_e_per_dn
     exposure = Exposure(max_integration_s=10.0, well_target=0.9)
-    time_s = integration_time_s(exposure, physics, 1e5)
+    time_s = integration_time_s(exposure, readout, 1e5)
     assert time_s * (1e5 + 5) == pytest.approx(0.9 * saturation_e, rel=1e-12)
-    sensor = sample_sensor(physics, (64, 64), np.random.default_rng(0))
+    sensor = sample_sensor(readout, (64, 64), np.random.default_rng(0))
     for share, saturated in ((0.9, 0.0), (1.2, 1.0)):
         signal = np.full((64, 64), share * saturation_e)
         frame = capture_from_rates(signal, sensor, Exposure(integration_s=1.0), np.random.default_rng(1))
         assert frame.saturated_fraction == saturated
         read = min(share * saturation_e, saturation_e) + 5 * (share < 1)  # dark charge
         assert frame.dn.mean() == pytest.approx(read / gain_e_per_dn, rel=2e-3)
-    black = least_black_level_dn(physics, 0.0)
+    black = least_black_level_dn(readout, 0.0)
     assert 6 * 2.0 / gain_e_per_dn < black <= 6 * 2.0 / gain_e_per_dn + 2
-    without = derive(sheet_with(bits=12))
+    without = Readout.of(derive(sheet_with(bits=12)))
     assert without.adc_range_e == without.saturation_e == without.full_well_e == 10_000.0
 
 
@@ -442,7 +445,7 @@ def test_derive_read_noise_of_the_pixel_is_all_its_read_noise() -> None:
         ({"read_noise_after_gain_e": 0.0}, 3.0),
         ({"temporal_dark_noise_e": 2.5}, 2.5),
     ):
-        assert derive(Pixel(**pixel, **given), process).noise_floor_e == pytest.approx(wanted, rel=1e-12), given
+        assert Readout.of(derive(Pixel(**pixel, **given), process)).noise_floor_e == pytest.approx(wanted, rel=1e-12), given
 
 
 @pytest.mark.parametrize("pitch_um", [2.0, 4.0, 8.0])
@@ -450,23 +453,23 @@ def test_derive_data_sheet_words_scale_with_area(pitch_um: float) -> None:
     """Well, gain and dark current scale as the area, solved once for the sheet's own pitch; noise in electrons stays."""
     words = {"saturation_capacity_e": 9000, "gain_e_per_dn": 2.5, "dsnu_e": 2.0, "bits": 14}
     own = derive(sheet_with(**words))
-    physics = derive(sheet_with(**words, data_sheet_pitch_um=4.0, pitch_um=pitch_um))
+    readout = Readout.of(derive(sheet_with(**words, data_sheet_pitch_um=4.0, pitch_um=pitch_um)))
     area = (pitch_um / 4) ** 2
     assert own.full_well_e == pytest.approx(9000 * 1.035, rel=0.01)
-    scaled = physics.full_well_e, physics.gain_e_per_dn, physics.dark_current_e_per_s
+    scaled = readout.full_well_e, readout.adc.gain_e_per_dn, readout.dark_current_e_per_s
     assert scaled == pytest.approx((own.full_well_e * area, 2.5 * area, 5 * area), rel=1e-12)
-    assert (physics.offset_fpn_e, physics.read_noise_e) == (2.0, 2.0)
+    assert (readout.physics.offset_fpn_e, readout.read_noise_e) == (2.0, 2.0)
 
 
 @pytest.mark.parametrize("words", [{"dn_per_e": 0.4}, {"adc_full_scale_e": 4095 / 0.4}])
 def test_derive_words_of_the_gain_are_the_same_gain(words: dict[str, float]) -> None:
     """dn_per_e is 1/gain_e_per_dn, adc_full_scale_e spans the codes above the black level; both scale with the area."""
     for own_um in (None, 2.0):
-        expected = derive(sheet_with(gain_e_per_dn=2.5, bits=12, data_sheet_pitch_um=own_um))
-        physics = derive(sheet_with(**words, bits=12, data_sheet_pitch_um=own_um))
-        assert physics.dn_per_e == pytest.approx(expected.dn_per_e, rel=1e-14)
-        assert physics.saturation_e == pytest.approx(expected.saturation_e, rel=1e-14)
-        assert physics.adc_range_e == pytest.approx(4095 / 0.4 * (1 if own_um is None else 4), rel=1e-14)
+        expected = Readout.of(derive(sheet_with(gain_e_per_dn=2.5, bits=12, data_sheet_pitch_um=own_um)))
+        readout = Readout.of(derive(sheet_with(**words, bits=12, data_sheet_pitch_um=own_um)))
+        assert readout.dn_per_e == pytest.approx(expected.dn_per_e, rel=1e-14)
+        assert readout.saturation_e == pytest.approx(expected.saturation_e, rel=1e-14)
+        assert readout.adc_range_e == pytest.approx(4095 / 0.4 * (1 if own_um is None else 4), rel=1e-14)
     solved = derive(sheet_with(saturation_capacity_e=9000, **words, bits=12)).full_well_e
     assert solved == pytest.approx(
         derive(sheet_with(saturation_capacity_e=9000, gain_e_per_dn=2.5, bits=12)).full_well_e, rel=1e-12
@@ -475,9 +478,9 @@ def test_derive_words_of_the_gain_are_the_same_gain(words: dict[str, float]) -> 
 
 def test_derive_adc_full_scale_stands_apart_from_the_well() -> None:
     """The step of the ADC stays at every pitch where the full scale is given, and grows with the well where it is not."""
-    small, large = (derive(Pixel(pitch_um=pitch_um, adc_full_scale_e=40_000)) for pitch_um in (6.5, 15.0))
+    small, large = (Readout.of(derive(Pixel(pitch_um=pitch_um, adc_full_scale_e=40_000))) for pitch_um in (6.5, 15.0))
     assert small.dn_per_e == large.dn_per_e == 1023 / 40_000
-    tied = derive(Pixel(pitch_um=15.0))
+    tied = Readout.of(derive(Pixel(pitch_um=15.0)))
     assert 1 / tied.dn_per_e == pytest.approx(tied.full_well_e / 1023, rel=1e-14)
     assert tied.full_well_e > 200_000
 

@@ -22,8 +22,9 @@ from pixsim.optics.camera import Camera
 from pixsim.sensor import readout as sensors
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.photodiode import linear_limit_e
-from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.reading import Readout
 
 SHAPE = (4, 250_000)
 SIGMAS = 5.0
@@ -42,15 +43,15 @@ def seeded(seed: int) -> np.random.Generator:
 
 @pytest.mark.parametrize("dark_e_per_s", [0.0, 30_000.0])
 def test_integration_time_automatic_fills_well_to_target(dark_e_per_s):
-    physics = derive(Pixel(**CLEAN | {"dark_current_e_per_s": dark_e_per_s}))
-    time_s = sensors.integration_time_s(Exposure(max_integration_s=1.0), physics, 200_000.0)
+    readout = Readout.of(derive(Pixel(**CLEAN | {"dark_current_e_per_s": dark_e_per_s})))
+    time_s = sensors.integration_time_s(Exposure(max_integration_s=1.0), readout, 200_000.0)
     assert (200_000 + dark_e_per_s) * time_s == pytest.approx(0.95 * 40_000, rel=1e-12)
     # The cap: 0.1 s is reached with 380 000 e-/s.
     exposure = Exposure(max_integration_s=0.1)
-    assert sensors.integration_time_s(exposure, physics, 379_999 - dark_e_per_s) == 0.1
-    assert sensors.integration_time_s(exposure, physics, 760_000 - dark_e_per_s) == pytest.approx(0.05, rel=1e-12)
-    assert sensors.integration_time_s(exposure, physics, 0.0) == 0.1
-    assert sensors.integration_time_s(Exposure(integration_s=7.0, max_integration_s=0.1), physics, 1e9) == 7.0
+    assert sensors.integration_time_s(exposure, readout, 379_999 - dark_e_per_s) == 0.1
+    assert sensors.integration_time_s(exposure, readout, 760_000 - dark_e_per_s) == pytest.approx(0.05, rel=1e-12)
+    assert sensors.integration_time_s(exposure, readout, 0.0) == 0.1
+    assert sensors.integration_time_s(Exposure(integration_s=7.0, max_integration_s=0.1), readout, 1e9) == 7.0
 
 
 # --- Noise ---
@@ -70,9 +71,9 @@ def standard_scores(values: np.ndarray, mean: float, variance: float) -> tuple[f
     return score(values.astype(float), mean), score((values - mean) ** 2, variance)
 
 
-def frames(physics: PixelPhysics, mean_e: float, integration_s: float, count: int = 1) -> list[np.ndarray]:
+def frames(readout: Readout, mean_e: float, integration_s: float, count: int = 1) -> list[np.ndarray]:
     """Return frames of one sensor of a million pixels under even light."""
-    sensor = sensors.sample_sensor(physics, SHAPE, seeded(11))
+    sensor = sensors.sample_sensor(readout, SHAPE, seeded(11))
     return [sensors.read_out(np.full(SHAPE, mean_e), integration_s, sensor, seeded(21 + i)) for i in range(count)]
 
 
@@ -99,33 +100,33 @@ NOISES = {
 @pytest.mark.parametrize("name", NOISES)
 def test_read_out_mean_and_variance_match_closed_forms(name):
     options, signal_e = NOISES[name]
-    physics = derive(Pixel(**CLEAN | options))
-    mean = float(sensors.frame_mean_dn(signal_e, 0.1, physics))
-    variance = float(sensors.frame_variance_dn2(signal_e, 0.1, physics))
+    readout = Readout.of(derive(Pixel(**CLEAN | options)))
+    mean = float(sensors.frame_mean_dn(signal_e, 0.1, readout))
+    variance = float(sensors.frame_variance_dn2(signal_e, 0.1, readout))
     # Frames and closed form that both lack a noise agree.
-    assert not options or variance > 1.1 * sensors.frame_variance_dn2(signal_e, 0.1, derive(Pixel(**CLEAN)))
-    (frame,) = frames(physics, signal_e, 0.1)
+    assert not options or variance > 1.1 * sensors.frame_variance_dn2(signal_e, 0.1, Readout.of(derive(Pixel(**CLEAN))))
+    (frame,) = frames(readout, signal_e, 0.1)
     # Gates of 5σ: 0.7 % of a normal variance, so a missing or doubled noise is far outside.
     assert np.abs(standard_scores(frame, mean, variance)).max() < SIGMAS
 
 
 def test_frame_variance_matches_hand_calculation():
-    physics = derive(Pixel(**CLEAN | ALL | {"reset_noise_factor": 0}))
+    readout = Readout.of(derive(Pixel(**CLEAN | ALL | {"reset_noise_factor": 0})))
     gain = (2**14 - 1 - 1000) / 40_000
-    assert sensors.frame_mean_dn(15_000, 0.1, physics) == pytest.approx(1000 + gain * 21_000, rel=1e-12)
+    assert sensors.frame_mean_dn(15_000, 0.1, readout) == pytest.approx(1000 + gain * 21_000, rel=1e-12)
     fixed = (0.02 * 15_000) ** 2 + (0.3 * 6000) ** 2 + (0.004 * 40_000) ** 2 + (0.002 * 40_000) ** 2
     temporal = 15_000 + 6000 + 60**2
-    assert sensors.frame_variance_dn2(15_000, 0.1, physics) == pytest.approx(gain**2 * (temporal + fixed) + 1 / 12, rel=1e-12)
-    without = sensors.frame_variance_dn2(15_000, 0.1, physics, fixed_pattern=False)
+    assert sensors.frame_variance_dn2(15_000, 0.1, readout) == pytest.approx(gain**2 * (temporal + fixed) + 1 / 12, rel=1e-12)
+    without = sensors.frame_variance_dn2(15_000, 0.1, readout, fixed_pattern=False)
     assert without == pytest.approx(gain**2 * temporal + 1 / 12, rel=1e-12)
 
 
 def test_read_out_fixed_pattern_is_constant():
-    physics = derive(Pixel(**CLEAN | ALL))
-    first, second = frames(physics, 15_000, 0.1, count=2)
-    mean = float(sensors.frame_mean_dn(15_000, 0.1, physics))
-    temporal = float(sensors.frame_variance_dn2(15_000, 0.1, physics, fixed_pattern=False))
-    fixed = float(sensors.frame_variance_dn2(15_000, 0.1, physics)) - temporal
+    readout = Readout.of(derive(Pixel(**CLEAN | ALL)))
+    first, second = frames(readout, 15_000, 0.1, count=2)
+    mean = float(sensors.frame_mean_dn(15_000, 0.1, readout))
+    temporal = float(sensors.frame_variance_dn2(15_000, 0.1, readout, fixed_pattern=False))
+    fixed = float(sensors.frame_variance_dn2(15_000, 0.1, readout)) - temporal
     # A difference has twice the temporal variance and nothing else; a mean of two keeps the whole pattern.
     assert np.abs(standard_scores(first - second, 0.0, 2 * temporal)).max() < SIGMAS
     assert np.abs(standard_scores((first + second) / 2, mean, fixed + temporal / 2)).max() < SIGMAS
@@ -144,17 +145,17 @@ def test_capture_at_gain_matches_plain_formulas(gain_db, given):
     codes, signal_e, time_s = 2**14 - 1 - 1000, 400.0, 0.1
     range_e = {"adc_full_scale_e": 15_000, "gain_e_per_dn": 1.25 * codes}.get(next(iter(given), ""), 40_000) / g
     dn_per_e = codes / range_e
-    physics = derive(pixel).at_gain(gain_db)
-    assert (physics.dn_per_e, physics.adc_range_e) == pytest.approx((dn_per_e, range_e), rel=1e-12)
-    assert physics.saturation_e == pytest.approx(min(40_000, range_e), rel=1e-12)
+    readout = Readout.of(derive(pixel)).at(Exposure(gain_db=gain_db))
+    assert (readout.dn_per_e, readout.adc_range_e) == pytest.approx((dn_per_e, range_e), rel=1e-12)
+    assert readout.saturation_e == pytest.approx(min(40_000, range_e), rel=1e-12)
     floor_e2 = 3**2 + (40 / g) ** 2
     range_db = 20 * math.log10(min(40_000, range_e) / math.sqrt(floor_e2))
-    assert physics.dynamic_range_db(time_s) == pytest.approx(range_db, rel=1e-12)
-    assert physics.snr_db(signal_e, time_s) == pytest.approx(20 * math.log10(signal_e / math.sqrt(signal_e + floor_e2)), rel=1e-12)
+    assert readout.dynamic_range_db(time_s) == pytest.approx(range_db, rel=1e-12)
+    assert readout.snr_db(signal_e, time_s) == pytest.approx(20 * math.log10(signal_e / math.sqrt(signal_e + floor_e2)), rel=1e-12)
     variance_dn2 = dn_per_e**2 * (signal_e + floor_e2 + (0.004 * signal_e) ** 2 + 8**2) + 1 / 12
-    assert sensors.frame_variance_dn2(signal_e, time_s, physics) == pytest.approx(variance_dn2, rel=1e-12)
+    assert sensors.frame_variance_dn2(signal_e, time_s, readout) == pytest.approx(variance_dn2, rel=1e-12)
 
-    sensor = sensors.sample_sensor(derive(pixel), SHAPE, seeded(11))  # the gain is that of the exposure
+    sensor = sensors.sample_sensor(Readout.of(derive(pixel)), SHAPE, seeded(11))  # the gain is that of the exposure
     rate = np.full(SHAPE, signal_e / time_s)
     frame = sensors.capture_from_rates(rate, sensor, Exposure(integration_s=time_s, gain_db=gain_db), seeded(21))
     assert np.abs(standard_scores(frame.dn, 1000 + dn_per_e * signal_e, variance_dn2)).max() < SIGMAS
@@ -167,16 +168,16 @@ def test_capture_at_gain_matches_plain_formulas(gain_db, given):
     (12.0, {"adc_full_scale_e": 400_000}, 40_000),
 ])  # fmt: skip
 def test_automatic_exposure_aims_below_well_and_adc_at_gain(gain_db, given, saturation_e):
-    physics, exposure = (
-        derive(Pixel(**CLEAN | {"dark_current_e_per_s": 3e4} | given)),
+    readout, exposure = (
+        Readout.of(derive(Pixel(**CLEAN | {"dark_current_e_per_s": 3e4} | given))),
         Exposure(max_integration_s=9, gain_db=gain_db),
     )
-    time_s = sensors.integration_time_s(exposure, physics, 2e5)
+    time_s = sensors.integration_time_s(exposure, readout, 2e5)
     assert time_s == pytest.approx(0.95 * saturation_e / 2.3e5, rel=1e-12)
-    assert sensors.integration_time_s(exposure, physics.at_gain(gain_db), 2e5) == time_s
+    assert sensors.integration_time_s(exposure, readout.at(Exposure(gain_db=gain_db)), 2e5) == time_s
     for share, fraction in ((0.95, 0.0), (1.1, 1.0)):
         by_hand = exposure.model_copy(update={"integration_s": share * saturation_e / 2.3e5})
-        sensor = sensors.sample_sensor(physics, (40, 40), seeded(0))
+        sensor = sensors.sample_sensor(readout, (40, 40), seeded(0))
         frame = sensors.capture_from_rates(np.full((40, 40), 2e5), sensor, by_hand, seeded(1))
         assert frame.saturated_fraction == fraction
 
@@ -185,8 +186,10 @@ def test_automatic_exposure_aims_below_well_and_adc_at_gain(gain_db, given, satu
 def test_least_black_level_grows_with_gain(given):
     """The smallest whole code with room for 6σ of the dark, and one code, below it; the codes above it span the ADC's range."""
     for gain_db in (0.0, 14.0):
-        physics = derive(Pixel(**CLEAN | {"black_level_dn": 0, "read_noise_e": 3.0, "read_noise_after_gain_e": 40.0} | given))
-        least = sensors.least_black_level_dn(physics.at_gain(gain_db), 0.1)
+        readout = Readout.of(
+            derive(Pixel(**CLEAN | {"black_level_dn": 0, "read_noise_e": 3.0, "read_noise_after_gain_e": 40.0} | given))
+        )
+        least = sensors.least_black_level_dn(readout.at(Exposure(gain_db=gain_db)), 0.1)
         g = 10 ** (gain_db / 20)
         sigma_e = math.hypot(3.0, 40 / g)
 
@@ -202,8 +205,8 @@ def test_least_black_level_grows_with_gain(given):
 
 def test_sample_sensor_hot_pixels_follow_log_normal_tail():
     """The share of pixels above a threshold is f times the tail of the log-normal; 5σ of the counts. The mean stays 1."""
-    physics = derive(Pixel(**CLEAN | {"dark_current_e_per_s": 100.0} | HOT))
-    dark_gain = sensors.sample_sensor(physics, SHAPE, seeded(3)).dark_gain
+    readout = Readout.of(derive(Pixel(**CLEAN | {"dark_current_e_per_s": 100.0} | HOT)))
+    dark_gain = sensors.sample_sensor(readout, SHAPE, seeded(3)).dark_gain
     typical = 1 / (1 + 0.03 * (5 * math.exp(0.4**2 / 2) - 1))
     for times in (2.0, 5.0, 10.0):
         expected = 0.03 * norm.sf(math.log(times / 5.0) / 0.4)
@@ -213,21 +216,21 @@ def test_sample_sensor_hot_pixels_follow_log_normal_tail():
     assert np.median(dark_gain) == pytest.approx(typical, rel=1e-12)
     square = 1 + 0.03 * (25 * math.exp(2 * 0.4**2) - 1)
     spread = math.sqrt(square * typical**2 - 1)
-    assert physics.dark_spread.deviation == pytest.approx(spread, rel=1e-12)
+    assert readout.dark_spread.deviation == pytest.approx(spread, rel=1e-12)
     assert dark_gain.mean() == pytest.approx(1.0, abs=SIGMAS * spread / 1e3)
 
 
 def test_sample_sensor_hot_pixels_leave_other_maps():
     """Hot pixels have a stream of their own; the typical ones are cooler by the share that the hot ones have."""
     options = CLEAN | ALL | {"dark_current_e_per_s": 100.0}
-    cold, hot = (sensors.sample_sensor(derive(Pixel(**options | more)), (200, 300), seeded(3)) for more in ({}, HOT))
+    cold, hot = (sensors.sample_sensor(Readout.of(derive(Pixel(**options | more))), (200, 300), seeded(3)) for more in ({}, HOT))
     for name in ("gain", "offset_e", "column_offset_e"):
         np.testing.assert_array_equal(getattr(cold, name), getattr(hot, name))
     ratio = hot.dark_gain / cold.dark_gain
-    typical = hot.physics.dark_spread.ordinary_mean
+    typical = hot.readout.dark_spread.ordinary_mean
     assert 0.95 < np.isclose(ratio, typical, rtol=1e-12).mean() < 0.98
     rng = seeded(3)
-    sensors.sample_sensor(cold.physics, (20, 30), rng)
+    sensors.sample_sensor(cold.readout, (20, 30), rng)
     without = rng.bit_generator.seed_seq.n_children_spawned
     assert without == 0, "without hot pixels no stream is taken, which frames of many blocks would notice"
 
@@ -236,17 +239,17 @@ def test_hot_pixels_do_not_raise_the_black_level():
     """A clip at 0 DN cuts off the pixels that are not hot: their dark charge and its spread decide."""
     options = CLEAN | {"dark_current_e_per_s": 1000.0, "dsnu": 0.3, "read_noise_e": 5.0}
     for more in ({}, HOT):
-        physics = derive(Pixel(**options | more))
+        readout = Readout.of(derive(Pixel(**options | more)))
         dark_e = 100.0 / (1 + (0.03 * (5 * math.exp(0.4**2 / 2) - 1) if more else 0))
         expected = math.sqrt(dark_e + (0.3 * dark_e) ** 2 + 25)
-        assert sensors.dark_spread_e(physics, 0.1) == pytest.approx(expected, rel=1e-12)
+        assert sensors.dark_spread_e(readout, 0.1) == pytest.approx(expected, rel=1e-12)
 
 
 def test_read_out_column_offsets_are_per_column():
-    physics = derive(Pixel(**CLEAN | {"column_fpn": 0.002, "read_noise_e": 12}))
-    (frame,) = frames(physics, 0, 0.1)
+    readout = Readout.of(derive(Pixel(**CLEAN | {"column_fpn": 0.002, "read_noise_e": 12})))
+    (frame,) = frames(readout, 0, 0.1)
     deviation = frame - 1000.0
-    column_variance = (physics.column_fpn_e * physics.dn_per_e) ** 2
+    column_variance = (readout.physics.column_fpn_e * readout.dn_per_e) ** 2
     for pairs, expected in ((deviation[:2] * deviation[2:], column_variance), (deviation[:, 1:] * deviation[:, :-1], 0.0)):
         # Neighbouring products share a pixel, which adds no covariance: their columns still count as independent.
         per_column = pairs.mean(axis=0)
@@ -254,15 +257,15 @@ def test_read_out_column_offsets_are_per_column():
 
 
 def test_sample_sensor_maps_have_given_spread():
-    physics = derive(Pixel(**CLEAN | ALL))
-    sensor = sensors.sample_sensor(physics, SHAPE, seeded(3))
+    readout = Readout.of(derive(Pixel(**CLEAN | ALL)))
+    sensor = sensors.sample_sensor(readout, SHAPE, seeded(3))
     # Mean 1 and spread as asked, at 5σ of a million (gamma: fourth moment 3.54 σ⁴ for a spread of 0.3).
     for values, spread, kurtosis in ((sensor.gain, 0.02, 3.0), (sensor.dark_gain, 0.3, 3 + 6 * 0.09)):
         assert values.mean() == pytest.approx(1.0, abs=SIGMAS * spread / 1e3)
         assert values.var() == pytest.approx(spread**2, rel=SIGMAS * np.sqrt((kurtosis - 1) / 1e6))
         assert values.min() > 0
     assert sensor.column_offset_e.shape == (1, SHAPE[1])
-    clean = sensors.sample_sensor(derive(Pixel(**CLEAN)), (4, 4), seeded(3))
+    clean = sensors.sample_sensor(Readout.of(derive(Pixel(**CLEAN))), (4, 4), seeded(3))
     assert (clean.gain, clean.dark_gain, clean.offset_e, clean.column_offset_e) == (None, None, None, None)
 
 
@@ -271,23 +274,23 @@ def test_frame_of_many_blocks_is_independent_of_threads(monkeypatch):
     monkeypatch.setattr(sensors, "BLOCK_PIXELS", 1 << 18)
     monkeypatch.setattr(arrays, "WORTH_THREADS", 1)
     flaws = {"prnu": 0.02, "dsnu": 0.5, "dark_current_e_per_s": 900.0, "offset_fpn": 1e-4, "column_fpn": 1e-4, "read_noise_e": 4.0}
-    physics = derive(Pixel(**CLEAN | flaws))
+    readout = Readout.of(derive(Pixel(**CLEAN | flaws)))
     shape, frames = (2000, 900), []
     for count in (1, 3):
         monkeypatch.setattr(arrays, "threads", lambda count=count: count)
-        sensor = sensors.sample_sensor(physics, shape, seeded(3))
+        sensor = sensors.sample_sensor(readout, shape, seeded(3))
         frames.append(sensors.read_out(np.full(shape, 5000.0), 1.0, sensor, seeded(4)))
     assert np.array_equal(frames[0], frames[1])
     assert sensor.gain is not None
     assert sensor.offset_e is not None
-    for name, values, spread in (("gain", sensor.gain, 0.02), ("offset", sensor.offset_e, physics.offset_fpn_e)):
+    for name, values, spread in (("gain", sensor.gain, 0.02), ("offset", sensor.offset_e, readout.physics.offset_fpn_e)):
         assert abs(values.std() / spread - 1) < SIGMAS / math.sqrt(2 * values.size), name
     blocks = np.array_split(sensor.gain[: 291 * 6], 6)
     assert all(abs(np.corrcoef(blocks[0].ravel(), other.ravel())[0, 1]) < SIGMAS / math.sqrt(other.size) for other in blocks[1:])
     # Columns are few: their part of the mean is taken out, as measured.
     assert sensor.column_offset_e is not None
-    mean_dn = sensors.frame_mean_dn(5000.0, 1.0, physics) + sensor.column_offset_e.mean() * physics.dn_per_e
-    variance_dn2 = float(sensors.frame_variance_dn2(5000.0, 1.0, physics))
+    mean_dn = sensors.frame_mean_dn(5000.0, 1.0, readout) + sensor.column_offset_e.mean() * readout.dn_per_e
+    variance_dn2 = float(sensors.frame_variance_dn2(5000.0, 1.0, readout))
     assert abs(frames[0].mean() - mean_dn) < SIGMAS * math.sqrt(variance_dn2 / frames[0].size)
     assert frames[0].var() == pytest.approx(variance_dn2, rel=SIGMAS * math.sqrt(2 / frames[0].size) + 0.01)
 
@@ -303,11 +306,11 @@ def test_shot_noise_dim_and_bright_pixels():
 
 
 def test_read_out_well_clips_before_read_noise():
-    physics = derive(Pixel(**CLEAN | {"read_noise_e": 100, "bits": 16, "black_level_dn": 30_000}))
-    (frame,) = frames(physics, 1e6, 0.1)
+    readout = Readout.of(derive(Pixel(**CLEAN | {"read_noise_e": 100, "bits": 16, "black_level_dn": 30_000})))
+    (frame,) = frames(readout, 1e6, 0.1)
     # A full well reads 2^16 - 1 on average; read noise goes both ways, but the ADC keeps the lower half alone.
     top = 2**16 - 1
-    sigma_dn = 100 * physics.dn_per_e
+    sigma_dn = 100 * readout.dn_per_e
     assert frame.max() == top
     # min(n, 0) of a normal: mean -σ/√(2π), variance σ²(½ - 1/2π). Rounding moves it by less than 1e-4 σ.
     error = SIGMAS * sigma_dn * np.sqrt(0.5 - 0.5 / np.pi) / 1e3
@@ -316,11 +319,11 @@ def test_read_out_well_clips_before_read_noise():
 
 def saturated_fraction(pixel: Pixel, wells: float, offset: float | None = None, size: int = 250_000) -> float:
     """Return the saturated fraction under even light in 10 ms, with the same `offset`, a fraction of the well, for all pixels."""
-    physics = derive(pixel)
-    sensor = sensors.sample_sensor(physics, (4, size // 4), seeded(31))
+    readout = Readout.of(derive(pixel))
+    sensor = sensors.sample_sensor(readout, (4, size // 4), seeded(31))
     if offset is not None:
-        sensor = replace(sensor, offset_e=np.full(sensor.shape, offset * physics.full_well_e))
-    rate = np.full(sensor.shape, wells * physics.full_well_e / 0.01)
+        sensor = replace(sensor, offset_e=np.full(sensor.shape, offset * readout.full_well_e))
+    rate = np.full(sensor.shape, wells * readout.full_well_e / 0.01)
     frame = sensors.capture_from_rates(rate, sensor, Exposure(integration_s=0.01), seeded(32))
     assert frame.saturated_fraction >= np.mean(frame.dn == 2**pixel.bits - 1)
     return frame.saturated_fraction
@@ -395,7 +398,7 @@ def test_estimated_variance_is_that_of_frames_of_a_sensor(exposures):
     of which there are 40 rows: 0.2 % of the whole. The gate is 4 standard errors of both together, a false alarm in 16 000.
     """
     pixel = Pixel(**CLEAN | {"read_noise_e": 12.0, "row_noise_e": 8.0, "dark_current_e_per_s": 400.0, "prnu": 0.02})
-    sensor = sensors.sample_sensor(derive(pixel), (40, 40), seeded(3))
+    sensor = sensors.sample_sensor(Readout.of(derive(pixel)), (40, 40), seeded(3))
     rates = np.geomspace(50.0, 5000.0, 40)[:, None] * np.ones(40) / 0.1
     exposure, rng = Exposure(integration_s=0.1, frames=exposures), seeded(4)
     frames = [sensors.capture_from_rates(rates, sensor, exposure, rng) for _ in range(400)]
@@ -412,7 +415,7 @@ def test_frame_electrons_are_unbiased():
     frame = sensors.capture(irradiance, Camera(), sensor, Exposure(integration_s=0.01), rng=seeded(2))
     assert frame.estimate_e.shape == (512, 512)
     # Black level and mean dark charge are subtracted; 5σ of 262 144 pixels.
-    variance_dn2 = float(sensors.frame_variance_dn2(frame.mean_e[0, 0], 0.01, sensor.physics))
+    variance_dn2 = float(sensors.frame_variance_dn2(frame.mean_e[0, 0], 0.01, sensor.readout))
     error = SIGMAS * np.sqrt(variance_dn2) / 512 / frame.dn_per_e
     assert 40 * error < frame.mean_dark_e < frame.mean_e.min()
     assert frame.estimate_e.mean() == pytest.approx(frame.mean_e.mean(), abs=error)
@@ -444,8 +447,8 @@ def test_capture_other_sensor_shape_raises():
 @pytest.mark.parametrize("options", [{}, {"prnu": 0.05, "dark_current_e_per_s": 1e5, "dsnu": 0.5}, {"technology": "4t-bsi"}])
 def test_capture_equals_its_stages(options):
     """The stages written out, with the same random numbers, give the same codes, also beyond the well."""
-    p = derive(Pixel(pitch_um=6.5, **options))
-    assert p.pixel.well_limit == "swing"
+    p = Readout.of(derive(Pixel(pitch_um=6.5, **options)))
+    assert p.physics.pixel.well_limit == "swing"
     mean_e = np.random.default_rng(1).uniform(0, 1.4 * p.full_well_e, (40, 30))
     stored = mean_e.copy()
     sensor = sensors.sample_sensor(p, mean_e.shape, np.random.default_rng(2))
@@ -455,18 +458,18 @@ def test_capture_equals_its_stages(options):
     rng = np.random.default_rng(2)
     gain = np.maximum(1 + p.prnu * rng.standard_normal(mean_e.shape), 0) if p.prnu else 1.0
     dark = p.dark_current_e_per_s * 0.05
-    if p.dsnu and dark:
-        dark = dark * rng.gamma(p.dsnu**-2, p.dsnu**2, mean_e.shape)
-    offset = [p.offset_fpn_e * rng.standard_normal(mean_e.shape)] if p.offset_fpn_e else []
-    offset += [p.column_fpn_e * rng.standard_normal((1, 30))] if p.column_fpn_e else []
+    if p.physics.dsnu and dark:
+        dark = dark * rng.gamma(p.physics.dsnu**-2, p.physics.dsnu**2, mean_e.shape)
+    offset = [p.physics.offset_fpn_e * rng.standard_normal(mean_e.shape)] if p.physics.offset_fpn_e else []
+    offset += [p.physics.column_fpn_e * rng.standard_normal((1, 30))] if p.physics.column_fpn_e else []
     rng = np.random.default_rng(3)
     level = np.minimum(rng.poisson(mean_e * gain + dark).astype(float), p.full_well_e)
-    level = level + np.hypot(p.reset_noise_e, np.hypot(p.read_noise_e, p.read_noise_after_gain_e)) * rng.standard_normal(
+    level = level + np.hypot(p.physics.reset_noise_e, np.hypot(p.read_noise_e, p.read_noise_after_gain_e)) * rng.standard_normal(
         mean_e.shape
     )
     for item in offset:
         level = level + item
-    dn = np.clip(np.rint(level * p.dn_per_e + p.pixel.black_level_dn), 0, 2**p.pixel.bits - 1)
+    dn = np.clip(np.rint(level * p.dn_per_e + p.adc.black_level_dn), 0, p.adc.top_code_dn)
     np.testing.assert_array_equal(result, dn.astype(np.int32))
 
 
@@ -501,8 +504,8 @@ def test_integration_time_darkness_is_maximum():
 
 def test_read_out_largest_dsnu_is_valid():
     """With a DSNU of 100 one pixel in ten thousand has all the dark charge."""
-    physics = derive(Pixel(dsnu=100, dark_current_e_per_s=1e6, bits=24))
-    sensor = sensors.sample_sensor(physics, (300, 300), seeded(0))
+    readout = Readout.of(derive(Pixel(dsnu=100, dark_current_e_per_s=1e6, bits=24)))
+    sensor = sensors.sample_sensor(readout, (300, 300), seeded(0))
     assert sensor.dark_gain.min() >= 0
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -513,7 +516,7 @@ def test_read_out_largest_dsnu_is_valid():
 def test_pixel_large_prnu_raises():
     with pytest.raises(PixsimError, match="prnu"):
         Pixel(prnu=0.31)
-    gain = sensors.sample_sensor(derive(Pixel(prnu=0.3)), (1000, 1000), seeded(0)).gain
+    gain = sensors.sample_sensor(Readout.of(derive(Pixel(prnu=0.3))), (1000, 1000), seeded(0)).gain
     # Cut at zero: E max(1 + sN, 0) - 1 = s φ(1/s) - Φ(-1/s) = 3.4e-5; 5σ of a million.
     assert gain.mean() == pytest.approx(1 + 3.4e-5, abs=5 * 0.3 / 1e3)
 
@@ -521,13 +524,13 @@ def test_pixel_large_prnu_raises():
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(("rate", "dtype"), [(1e308, np.float64), (1e38, np.float32), (6e4, np.float16)])
 def test_electrons_beyond_their_precision_raise(rate, dtype):
-    signal_e_per_s, exposure, physics = np.full((2, 3), rate, dtype), Exposure(integration_s=100.0), derive(Pixel())
-    sensor, dn = sensors.sample_sensor(physics, (2, 3), np.random.default_rng(0)), np.zeros((2, 3), np.int32)
+    signal_e_per_s, exposure, readout = np.full((2, 3), rate, dtype), Exposure(integration_s=100.0), Readout.of(derive(Pixel()))
+    sensor, dn = sensors.sample_sensor(readout, (2, 3), np.random.default_rng(0)), np.zeros((2, 3), np.int32)
     message = f"mean_e: got {re.escape(f'{float(signal_e_per_s[0, 0]):.3g}')} e-/s for 100 s; allowed: a finite number"
     with pytest.raises(PixsimError, match=message):
         sensors.capture_from_rates(signal_e_per_s, sensor, exposure, np.random.default_rng(0))
     with pytest.raises(PixsimError, match=message):
-        sensors.make_frame(dn, 0.0, signal_e_per_s, physics, exposure)
+        sensors.make_frame(dn, 0.0, signal_e_per_s, readout, exposure)
 
 
 def test_full_well_below_the_smallest_numbers_raises():

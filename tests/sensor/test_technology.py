@@ -10,6 +10,7 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.toml import packaged, read_toml
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import NUMBERS, Pixel
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.technology import Junction, Technology, load_technology
 
 TECHNOLOGIES = ["0.5um", "0.35um", "0.25um", "0.18um"]
@@ -191,7 +192,7 @@ def test_load_technology_mismatch_of_layout_has_ranges(tmp_path):
     with pytest.raises(PixsimError, match=r"process\.x: got 'prnu'; allowed: .*prnu_um"):
         technology.with_numbers({"prnu": 0.02}, "process.x")
     physics = derive(Pixel(), technology)
-    assert (physics.hot_pixel_fraction, physics.read_noise_after_gain_e) == (0.001, 20.0)
+    assert (physics.hot_pixel_fraction, Readout.of(physics).read_noise_after_gain_e) == (0.001, 20.0)
 
 
 def test_load_technology_unknown_name_lists_names():

@@ -26,6 +26,7 @@ from pixsim.scene.charts import DIE_MM, csf_contrast, csf_frequency_lp_per_mm
 from pixsim.sensor.diffusion import absorption_per_um, diffusion_mtf
 from pixsim.sensor.pixel import derive, fill_factor_law
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.stack_options import StackOptions
 from pixsim.sensor.technology import load_technology
 from pixsim.studies.claims import (
@@ -125,10 +126,10 @@ def test_sensitivity_is_independent_of_amount_and_form() -> None:
 
 @pytest.mark.parametrize(("pitch_um", "integration_s"), [(5.3, 0.03), (8.0, 0.03), (15.0, 0.1)])
 def test_mpe30_gives_30_db(pitch_um: float, integration_s: float) -> None:
-    result, physics = daylight(), derive(Pixel(pitch_um=pitch_um, read_noise_e=12.0))
-    exposure_lx_s = mpe30_lx_s(result, physics, integration_s)
-    signal_e = exposure_lx_s * sensitivity_e_per_lx_s_um2(result, physics) * physics.photodiode_area_um2
-    assert physics.snr_db(signal_e, integration_s) == pytest.approx(30.0, abs=1e-9)
+    result, readout = daylight(), Readout.of(derive(Pixel(pitch_um=pitch_um, read_noise_e=12.0)))
+    exposure_lx_s = mpe30_lx_s(result, readout.physics, integration_s)
+    signal_e = exposure_lx_s * sensitivity_e_per_lx_s_um2(result, readout.physics) * readout.physics.photodiode_area_um2
+    assert readout.snr_db(signal_e, integration_s) == pytest.approx(30.0, abs=1e-9)
 
 
 # --- sharpness --------------------------------------------------------------------------------------------------------

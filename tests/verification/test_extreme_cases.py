@@ -17,7 +17,7 @@ from pixsim.light.spectral import SpectralImage, photons_per_joule, photopic_eff
 from pixsim.optics.stack import stack_collection
 from pixsim.sensor.integration import electrons_per_joule, integrate_pixels, mean_signal_rate, pixel_count
 from pixsim.sensor.photodiode import collected_charge_e, diode_of
-from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.reading import Readout
 from pixsim.verification import extreme_cases
 from pixsim.verification.case import ANSWERS, ExtremeCase, KnownAnswer
 
@@ -90,7 +90,7 @@ def junction_well_e(pitch_um: float) -> float:
 
 
 def saturated_share() -> float:
-    return exact.saturated_share(extreme_cases.physics_of({"prnu": 0, "dark_current_e_per_s": 0, "column_fpn": 0}))
+    return exact.saturated_share(Readout.of(extreme_cases.physics_of({"prnu": 0, "dark_current_e_per_s": 0, "column_fpn": 0})))
 
 
 def green_e_per_s() -> float:
@@ -240,6 +240,6 @@ def test_cases_with_a_wrong_kernel_fail(monkeypatch: pytest.MonkeyPatch, name: s
 
 
 def test_cases_of_gain_with_noise_on_the_wrong_side_fail(monkeypatch: pytest.MonkeyPatch) -> None:
-    wrong = property(lambda p: np.hypot(p.read_noise_e, p.read_noise_after_gain_e))
-    monkeypatch.setattr(PixelPhysics, "read_noise_at_gain_e", wrong)
+    wrong = property(lambda readout: np.hypot(readout.read_noise_e, readout.read_noise_after_gain_e))
+    monkeypatch.setattr(Readout, "read_noise_at_gain_e", wrong)
     assert not all(case.passed for case in checked("sensor"))

@@ -27,8 +27,9 @@ from pixsim.scene.plan import make_plan
 from pixsim.scene.scene import load_scene
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.outside import OUTSIDE, outside_header, outside_share
-from pixsim.sensor.pixel import PixelPhysics, derive
+from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.reading import Readout
 from pixsim.show.render import text
 from pixsim.studies.sentences import optimum_line, unsure_words
 from pixsim.viewer.causes import causes_of, lightness_range, tells_nothing
@@ -54,13 +55,14 @@ SCENE = """<scene version="3.0.0">
 </scene>"""
 NM = np.arange(405.0, 700.0, 10.0)
 STEADY = Exposure()
-FLAT = derive(Pixel(pitch_um=5.0, technology="4t-bsi", quantum_efficiency=0.5))  # no infrared cut: of every photon a half
+# No infrared cut: of every photon a half.
+FLAT = Readout.of(derive(Pixel(pitch_um=5.0, technology="4t-bsi", quantum_efficiency=0.5)))
 
 
 def causes_in(
     header: dict[str, Any],
     display: Display,
-    physics: PixelPhysics,
+    readout: Readout,
     white_e: float,
     integration_s: float,
     lightness: tuple[float, float],
@@ -68,8 +70,8 @@ def causes_in(
     exposure: Exposure = STEADY,
 ) -> tuple[Cause, ...]:
     """The causes of a frame of pixels whose numbers may be changed."""
-    asked = imaging(CAMERA, physics.pixel, exposure, display)
-    vars(asked)["readout"] = physics
+    asked = imaging(CAMERA, readout.physics.pixel, exposure, display)
+    vars(asked)["readout"] = readout
     numbers = {"white_e": white_e, "integration_s": integration_s, "lightness": lightness}
     return causes_of(asked, header, **numbers, saturated_fraction=saturated_fraction)
 
@@ -113,7 +115,7 @@ def test_share_of_a_lamp_outside_the_range_is_that_of_its_photons(low_nm: float,
     inside = max(0, min(end_nm, 830) ** 2 - max(low_nm, 360) ** 2)
     expected = 1 - inside / (end_nm**2 - low_nm**2)
     header = plan.white_header(plan.bands.edges_nm)
-    assert outside_share(header, FLAT) == pytest.approx(expected, abs=1e-5)
+    assert outside_share(header, FLAT.physics) == pytest.approx(expected, abs=1e-5)
     assert (OUTSIDE in header) == (expected > 0)
     cut = derive(Pixel(pitch_um=5.0, technology="4t-bsi", quantum_efficiency=0.5, infrared_cut_nm=830.0))
     below = max(0, 360**2 - low_nm**2) / (min(end_nm, 830) ** 2 - low_nm**2)
@@ -129,7 +131,9 @@ def test_share_of_a_black_body_is_planck_s(tmp_path: Path) -> None:
 
     expected = 1 - photons(360, 830) / photons(300, 1110)
     assert expected > 0.5
-    assert outside_share(plan.white_header(plan.bands.edges_nm), FLAT) == pytest.approx(expected, rel=1e-3)  # cells of 10 nm
+    assert outside_share(plan.white_header(plan.bands.edges_nm), FLAT.physics) == pytest.approx(
+        expected, rel=1e-3
+    )  # cells of 10 nm
 
 
 @pytest.mark.parametrize("ends", [(840, 860), (300, 350)])
@@ -145,7 +149,7 @@ def test_range_grows_where_lamps_shine_and_the_sensor_sees(tmp_path: Path) -> No
     silicon, cut = Pixel.model_validate(SILICON | {"infrared_cut_nm": None}), Pixel.model_validate(SILICON)
     for lamp, pixel, ends, said in (
         (table(400, 900), silicon, (360, 1100), ("begins at 400 nm", "ends at 900 nm")),
-        (table(320, 1100), FLAT.pixel, (300, 1100), ("begins at 320 nm",)),
+        (table(320, 1100), FLAT.physics.pixel, (300, 1100), ("begins at 320 nm",)),
         (table(400, 830), silicon, (360, 830), ("begins at 400 nm",)),
         (table(400, 900), cut, (360, 830), ("begins at 400 nm",)),
         ('<spectrum name="intensity" value="1"/>', silicon, (360, 830), ()),
@@ -175,7 +179,7 @@ def test_score_of_a_lamp_that_is_hardly_seen_says_so(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("found", ["much", 1.0, [1.0], [[1.0]], {}, [["a"] * 3]])
 def test_header_of_another_program_states_no_share(found: Any) -> None:
-    assert outside_share({OUTSIDE: found}, FLAT) == 0.0
+    assert outside_share({OUTSIDE: found}, FLAT.physics) == 0.0
 
 
 # --- contrast ---
@@ -274,16 +278,16 @@ def test_frame_with_some_light_tells_something(integration_s: float) -> None:
 
 def test_pixel_is_compared_with_darkness_by_its_normal_noise() -> None:
     """Read noise of σ alone far from any clipping: nothing below a signal of 1e-3 σ, something above."""
-    physics = derive(Pixel.model_validate(QUIET | {"read_noise_e": 100.0, "black_level_dn": 1000, "bits": 16}))
+    readout = Readout.of(derive(Pixel.model_validate(QUIET | {"read_noise_e": 100.0, "black_level_dn": 1000, "bits": 16})))
     for signal_e, nothing in ((0.099, True), (0.101, False)):  # rounding is 1e-7 of the variance
-        assert tells_nothing(physics, signal_e, 0.01, 100.0, 0.0) is nothing
+        assert tells_nothing(readout, signal_e, 0.01, 100.0, 0.0) is nothing
 
 
 def test_light_that_noise_hides_is_named_where_the_codes_would_do() -> None:
     """10 codes to white, and noise of 16 000, a quarter of all that the ADC has."""
     pixel = Pixel.model_validate(QUIET | {"full_well_e": 65_535.0, "bits": 16, "black_level_dn": 30_000})
-    physics = replace(derive(pixel), read_noise_e=30_000.0)
-    (cause,) = causes_in({}, DISPLAY, physics, 10 / physics.dn_per_e, 0.01, (0.0, 100.0))
+    readout = replace(Readout.of(derive(pixel)), read_noise_e=30_000.0)
+    (cause,) = causes_in({}, DISPLAY, readout, 10 / readout.dn_per_e, 0.01, (0.0, 100.0))
     assert str(cause).startswith(f"{NOTHING}: its light is lost in the noise: more light or time")
 
 
@@ -314,10 +318,10 @@ def test_adc_that_sees_little_is_the_first_cause(options: dict[str, Any], words:
 
 def test_signal_below_one_step_is_named_beside_a_bright_white() -> None:
     """255 codes to display white, and a picture whose lightest dot has less than one of them, or six."""
-    physics = derive(Pixel.model_validate(SILICON | {"bits": 8, "black_level_dn": 0, "dark_current_e_per_s": 0}))
+    readout = Readout.of(derive(Pixel.model_validate(SILICON | {"bits": 8, "black_level_dn": 0, "dark_current_e_per_s": 0})))
     for codes, named in ((0.9, True), (6.0, False)):
         lightest = 24389 / 27 * codes / 255  # CIE 15: L* below 8 is linear
-        causes = causes_in({}, Display(), physics, physics.saturation_e, 0.01, (lightest - 1, lightest))
+        causes = causes_in({}, Display(), readout, readout.saturation_e, 0.01, (lightest - 1, lightest))
         assert [cause.words for cause in causes] == ["the lightest dot is 0.9 of a step of the ADC above black"] * named
 
 
@@ -412,11 +416,11 @@ def test_comparison_names_the_cause_in_its_headline(tmp_path: Path) -> None:
 def test_full_exposures_of_a_burst_are_named_though_their_sum_is_not_full() -> None:
     """White of exactly all wells: of light of modulation m = 0.6 sinc(0.05) each phase above the mean is lost, m/π of it."""
     lamp = Exposure(frames=8, flicker_hz=100.0, flicker_depth=0.6)
-    physics = FLAT.burst(8)
-    white_e = physics.saturation_e - 0.004 * physics.dark_current_e_per_s
-    (cause,) = causes_in({}, Display(), physics, white_e, 0.004, (0.0, 100.0), 0.5, lamp)
+    readout = FLAT.burst(8)
+    white_e = readout.saturation_e - 0.004 * readout.dark_current_e_per_s
+    (cause,) = causes_in({}, Display(), readout, white_e, 0.004, (0.0, 100.0), 0.5, lamp)
     left = 1 - 0.6 * np.sinc(0.05) / np.pi
     assert cause.words == "50% of the pixels are saturated"
     assert cause.delta_e == pytest.approx(100 - (116 * left ** (1 / 3) - 16), abs=1e-9)
     for exposure, less in ((lamp.steady, 1.0), (lamp, 1.6)):
-        assert causes_in({}, Display(), physics, white_e / less, 0.004, (0.0, 100.0), 0.5, exposure) == ()
+        assert causes_in({}, Display(), readout, white_e / less, 0.004, (0.0, 100.0), 0.5, exposure) == ()

@@ -15,6 +15,7 @@ from pixsim.optics.camera import Camera
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import read_out, sample_sensor
 from pixsim.viewer.dark_clip import dark_clip
 from pixsim.viewer.display import white_rate
@@ -67,22 +68,22 @@ def in_standard_errors(actual: np.ndarray, expected: float) -> float:
 )
 def test_dark_clip_matches_frames(options: dict[str, Any]) -> None:
     """Codes at 0 and their mean, within 5σ of a million pixels: about 1 % of either."""
-    physics = derive(Pixel.model_validate(options))
-    clip = dark_clip(physics, TIME_S, 1e4)
-    sensor = sample_sensor(physics, SHAPE, np.random.default_rng(1))
+    readout = Readout.of(derive(Pixel.model_validate(options)))
+    clip = dark_clip(readout, TIME_S, 1e4)
+    sensor = sample_sensor(readout, SHAPE, np.random.default_rng(1))
     dn = read_out(np.zeros(SHAPE), TIME_S, sensor, np.random.default_rng(2))
     assert abs(in_standard_errors(dn == 0, clip["at_zero_fraction"])) < SIGMAS
     # Rounding alone moves the mean by up to exp(-2π²σ²)/π codes: nothing above σ of 0.8 DN.
     assert clip["spread_dn"] > 0.8
-    electrons = (dn - physics.pixel.black_level_dn) / physics.dn_per_e - physics.dark_current_e_per_s * TIME_S
+    electrons = (dn - readout.adc.black_level_dn) / readout.dn_per_e - readout.dark_current_e_per_s * TIME_S
     assert abs(in_standard_errors(electrons, clip["too_bright_e"])) < SIGMAS
     assert clip["too_bright_e"] > 0.02 * clip["spread_e"]
 
 
 def test_dark_clip_without_black_level_closed_form() -> None:
     """σ/√(2π) of a σ of many codes; ½ at 0 DN, and the density of half a code more."""
-    physics = derive(Pixel.model_validate(SHEET | {"dark_current_e_per_s": 0, "read_noise_e": 100, "bits": 16}))
-    clip = dark_clip(physics, TIME_S, 1e4)
+    readout = Readout.of(derive(Pixel.model_validate(SHEET | {"dark_current_e_per_s": 0, "read_noise_e": 100, "bits": 16})))
+    clip = dark_clip(readout, TIME_S, 1e4)
     # The next term of the sum over codes is 1/(24 σ²) = 1e-7; of the density, a third of (½/σ)²/2 = 1e-7.
     assert clip["too_bright_e"] == pytest.approx(100 / math.sqrt(2 * math.pi), rel=1e-6)
     assert clip["at_zero_fraction"] == pytest.approx(0.5 + 0.5 / clip["spread_dn"] / math.sqrt(2 * math.pi), rel=1e-6)
@@ -90,7 +91,7 @@ def test_dark_clip_without_black_level_closed_form() -> None:
     # CIE L* of Y = 0.4 %, below the cube root: (29/3)³ Y.
     assert clip["of_display_white"] == pytest.approx(0.01 / math.sqrt(2 * math.pi), rel=1e-6)
     assert clip["lightness"] == pytest.approx((29 / 3) ** 3 * clip["of_display_white"], rel=1e-6)
-    assert dark_clip(physics, TIME_S, 1.0)["lightness"] == pytest.approx(100, rel=1e-6)  # no display shows more than its white
+    assert dark_clip(readout, TIME_S, 1.0)["lightness"] == pytest.approx(100, rel=1e-6)  # no display shows more than its white
 
 
 @pytest.mark.parametrize(
@@ -103,16 +104,16 @@ def test_dark_clip_without_black_level_closed_form() -> None:
     ],
 )
 def test_dark_clip_without_noise_is_zero(options: dict[str, Any]) -> None:
-    assert dark_clip(derive(Pixel.model_validate(options)), TIME_S, 1e4)["too_bright_e"] == pytest.approx(0.0, abs=1e-9)
+    assert dark_clip(Readout.of(derive(Pixel.model_validate(options))), TIME_S, 1e4)["too_bright_e"] == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("options", [SHEET | {"offset_fpn": 0.002}, {}, {"technology": "4t-bsi", "pitch_um": 1.0}])
 def test_dark_clip_least_black_level_avoids_clipping(options: dict[str, Any]) -> None:
-    least = dark_clip(derive(Pixel.model_validate(options)), TIME_S, 1e4)["least_black_level_dn"]
-    clip = dark_clip(derive(Pixel.model_validate(options | {"black_level_dn": least})), TIME_S, 1e4)
+    least = dark_clip(Readout.of(derive(Pixel.model_validate(options))), TIME_S, 1e4)["least_black_level_dn"]
+    clip = dark_clip(Readout.of(derive(Pixel.model_validate(options | {"black_level_dn": least}))), TIME_S, 1e4)
     # φ(6) - 6Φ(-6) = 1.6e-10 of the spread; a sixth of a spread less already loses 4e-10.
     assert 0 <= clip["too_bright_e"] < 2e-10 * clip["spread_e"]
-    third = dark_clip(derive(Pixel.model_validate(options | {"black_level_dn": least / 3})), TIME_S, 1e4)
+    third = dark_clip(Readout.of(derive(Pixel.model_validate(options | {"black_level_dn": least / 3}))), TIME_S, 1e4)
     assert third["too_bright_e"] > 1e-3 * third["spread_e"]
 
 
@@ -122,9 +123,9 @@ def test_dark_clip_matches_shown_black_area() -> None:
     exposure = Exposure(integration_s=5e-4)
     dark = SpectralImage([550.0], 10.0, 40.0, data=np.zeros((16, 16, 1)), header={"diffraction": False})
     pixel = Pixel(technology="4t-bsi", pitch_um=1.6, column_fpn=0, stack={"enabled": False})
-    physics = derive(pixel)
-    white_e = white_rate(imaging(camera, pixel, exposure, display), dark) * physics.photodiode_area_um2 * 5e-4
-    clip = dark_clip(physics, 5e-4, white_e)
+    readout = Readout.of(derive(pixel))
+    white_e = white_rate(imaging(camera, pixel, exposure, display), dark) * readout.physics.photodiode_area_um2 * 5e-4
+    clip = dark_clip(readout, 5e-4, white_e)
     score = pixsim.evaluate(dark, camera, pixel, exposure, display)
     # 160 000 clipped normal values, of which the spread is 1.5 times their mean: 0.4 %, and 5 σ of it.
     assert score.image.mean() == pytest.approx(clip["of_display_white"], rel=0.02)

@@ -16,6 +16,7 @@ from pixsim.optics import irradiance_factor
 from pixsim.optics.camera import Camera
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame, make_frame
 from pixsim.viewer import develop as develop_module
 from pixsim.viewer.chain import ImagingChain
@@ -79,7 +80,7 @@ def sensor(colour: dict[str, Any] | None, **fields: Any) -> Pixel:
 def noiseless(chain: ImagingChain, time_s: float = TIME_S) -> Frame:
     """The frame of the mean electrons, without rounding."""
     frame = make_frame(
-        np.zeros(chain.signal_e_per_s.shape, np.int32), 0.0, chain.signal_e_per_s, chain.physics, Exposure(integration_s=time_s)
+        np.zeros(chain.signal_e_per_s.shape, np.int32), 0.0, chain.signal_e_per_s, chain.readout, Exposure(integration_s=time_s)
     )
     return replace(frame, corrected_e=chain.signal_e_per_s * time_s)
 
@@ -332,9 +333,9 @@ def test_saturated_pixels_are_white() -> None:
     """All channels end at the level of the one that saturates first: no colour is left in high lights."""
     pixel, image = sensor({"quantum_efficiencies": LUTHER}), patch(18, "A")
     chain = imaging_chain(image, CAMERA, pixel, Exposure(), DISPLAY)
-    time_s = 20 * chain.physics.saturation_e / chain.signal_e_per_s.max()
+    time_s = 20 * chain.readout.saturation_e / chain.signal_e_per_s.max()
     frame = noiseless(chain, time_s)
-    frame = replace(frame, corrected_e=np.minimum(frame.corrected_e, chain.physics.saturation_e))
+    frame = replace(frame, corrected_e=np.minimum(frame.corrected_e, chain.readout.saturation_e))
     light = chain.development.light(frame)
     assert light.max() == pytest.approx(light.min(), rel=1e-9)
 
@@ -426,8 +427,8 @@ def grey_burst(fullest: float, exposure: Exposure = FLICKER) -> tuple[ImagingCha
     curves = {letter: [(nm, value / (1 if letter == "G" else 2)) for nm, value in LUTHER[letter]] for letter in "RGB"}
     pixel, image = sensor({"quantum_efficiencies": curves}), patch(18, "D65")
     chain = imaging_chain(image, CAMERA, pixel, exposure, DISPLAY)
-    physics = replace(chain.physics, full_well_e=chain.signal_e_per_s.max() * TIME_S / exposure.frames / fullest)
-    chain = replace(chain, physics=physics)
+    physics = replace(chain.readout.physics, full_well_e=chain.signal_e_per_s.max() * TIME_S / exposure.frames / fullest)
+    chain = replace(chain, readout=Readout.of(physics, exposure))
     return chain, chain.capture("grey burst")
 
 
@@ -443,7 +444,7 @@ def test_burst_that_is_saturated_in_part_is_neutral() -> None:
     assert frame.saturated is not None
     assert frame.layout is not None
     np.testing.assert_array_equal(frame.saturated, frame.layout.numbers(frame.dn.shape) == frame.layout.channels.index("G"))
-    assert frame.estimate_e.max() < 0.99 * chain.physics.saturation_e
+    assert frame.estimate_e.max() < 0.99 * chain.readout.saturation_e
     light = chain.development.light(frame)
     assert np.ptp(light, axis=0).max() < 1e-6 * light.max()
     # Red and blue are not full: the field keeps its luminance, within the shot noise of the brighter of two channels.

@@ -99,7 +99,7 @@ def chain_of(
 def noiseless(chain: ImagingChain) -> Frame:
     """The frame of the mean electrons, without rounding."""
     frame = make_frame(
-        np.zeros(chain.signal_e_per_s.shape, np.int32), 0.0, chain.signal_e_per_s, chain.physics, Exposure(integration_s=TIME_S)
+        np.zeros(chain.signal_e_per_s.shape, np.int32), 0.0, chain.signal_e_per_s, chain.readout, Exposure(integration_s=TIME_S)
     )
     return replace(frame, corrected_e=chain.signal_e_per_s * TIME_S)
 
@@ -184,7 +184,7 @@ def test_bound_leaves_the_error_that_it_states(colour: str, correction: dict[str
     for number in range(16):
         raw = STEPS["denoise"].apply(chain.capture("bound", number).estimate_e, replace(c))
         errors.append(float(np.mean((raw - expected) ** 2)))
-    variance, column_e2, row_e2 = noise_of_expected_e2(expected, chain.physics, TIME_S, chain.imaging.correction)
+    variance, column_e2, row_e2 = noise_of_expected_e2(expected, chain.readout, TIME_S, chain.imaging.correction)
     stated = [
         wiener.mean_square_error(
             wiener.signal_power(light), wiener.noise_power(own, column_variance=column_e2, row_variance=row_e2)
@@ -207,7 +207,7 @@ def test_noise_reduction_before_demosaicing_leaves_less_chroma_noise() -> None:
     frame = chain.capture("chroma")
     first = developed_planes(chain.development.developing(frame, None))
     planes = developed_planes(replace(chain, imaging=chain.imaging.changed(develop=Develop())).development.developing(frame, None))
-    own_e2, white_e = white_noise_e2(chain.physics, TIME_S, chain.imaging.correction), np.array(chain.whites_e_per_s) * TIME_S
+    own_e2, white_e = white_noise_e2(chain.readout, TIME_S, chain.imaging.correction), np.array(chain.whites_e_per_s) * TIME_S
     last = [denoised_plane(plane * white, own_e2, "nlm") / white for plane, white in zip(planes, white_e, strict=True)]
     assert chroma_noise(first) < 0.8 * chroma_noise(last)
     assert chroma_noise(last) < chroma_noise(planes)
@@ -218,7 +218,7 @@ def test_known_noise_is_that_of_dark_frames() -> None:
     chain = chain_of({}, picture=np.full((SIDE, SIDE), 1e-6), dark_current_e_per_s=3e4, dsnu_e=20.0)
     dark = chain.capture("noise").estimate_e, *(frame.estimate_e for frame in chain.further_frames(21, "noise"))
     variance = float(np.var(np.diff(dark, axis=0), axis=(1, 2)).mean()) / 2
-    known = white_noise_e2(chain.physics, TIME_S, chain.imaging.correction) + chain.physics.dark_current_e_per_s * TIME_S
+    known = white_noise_e2(chain.readout, TIME_S, chain.imaging.correction) + chain.readout.dark_current_e_per_s * TIME_S
     assert variance == pytest.approx(known, rel=0.01)
 
 
@@ -410,7 +410,7 @@ def test_linear_steps_and_dots_create_no_information(develop: dict[str, Any]) ->
         chain = imaging_chain(*own, develop=Develop(**develop))
         still = noiseless(chain)
         signal_e = chain.signal_e_per_s * TIME_S
-        variance = signal_e + white_noise_e2(chain.physics, TIME_S, chain.imaging.correction)
+        variance = signal_e + white_noise_e2(chain.readout, TIME_S, chain.imaging.correction)
         columns = []
         for place in np.ndindex(side, side):
             one = np.zeros((side, side))

@@ -136,7 +136,7 @@ def test_detectability_is_the_mean_over_registrations_and_the_worst() -> None:
     judged = FrameUnderTest.of(chain, chain.capture("a"))
     frames = list(judged.registrations(16))
     each = [_d_prime(frame) for frame in frames]
-    assert len({frame.physics.registration for frame in frames}) == 16
+    assert len({frame.readout.physics.registration for frame in frames}) == 16
     mean, worst, factor = METRICS["detectability"].compute(judged)
     assert (mean, worst) == (pytest.approx(np.mean(each), rel=1e-12), pytest.approx(min(each), rel=1e-12))
     assert worst < 0.98 * mean
@@ -152,7 +152,7 @@ def test_npwe_is_that_of_the_expected_pictures_and_the_expected_noise() -> None:
     judged = FrameUnderTest.of(chain, chain.capture("a"))
     levels = [0.02 * each for each in (chain.signal_e_per_s, chain.background_e_per_s)]
     white_e = 0.02 * chain.white_e_per_s
-    variance = float(levels[0].mean()) + 16.0 + 1 / (12 * chain.physics.dn_per_e**2)
+    variance = float(levels[0].mean()) + 16.0 + 1 / (12 * chain.readout.dn_per_e**2)
     shown = (levels[0] - levels[1]) / white_e
     rows, columns = (
         slice((full - part) // 2, (full + part) // 2) for full, part in zip(shown.shape, chain.screen.ideal.shape, strict=True)
@@ -220,7 +220,7 @@ def test_frame_whose_signal_clips_tells_nothing(name: str, of_full: float | None
     A rating or the noise of what is full has no number: beside another metric it is NaN, with the reason.
     """
     chain = chain_of(EVEN)
-    top_e = (2**12 - 1 - 64) / chain.physics.dn_per_e
+    top_e = (2**12 - 1 - 64) / chain.readout.dn_per_e
     full_s = top_e / (float(chain.signal_e_per_s.mean()) if of_full is None else of_full * chain.white_e_per_s)
 
     def evaluate(times: float, *names: str) -> dict[str, float]:
@@ -250,12 +250,12 @@ def test_codes_near_0_have_the_mean_and_variance_of_frames(bits: int, read_noise
     own = {"bits": bits, "read_noise_e": read_noise_e, "black_level_dn": 0.0, "prnu": 0.02}
     own |= {"offset_fpn": 0.2 * read_noise_e / 20_000}
     chain, rng = chain_of(EVEN, PIXEL.model_copy(update=own)), np.random.default_rng(44)
-    chain = replace(chain, physics=chain.physics.burst(exposures))
+    chain = replace(chain, readout=chain.readout.burst(exposures))
     table = bottom_table(chain.expected(0.02), 0.0)
     assert table is not None
-    sensor = sample_sensor(chain.physics, (600, 600), rng)
+    sensor = sample_sensor(chain.readout, (600, 600), rng)
     for signal_e in exposures * read_noise_e * np.array([0.0, 0.5, 1.0, 3.0, 8.0]):
-        frame_e = read_out(np.full(sensor.shape, signal_e), 0.02, sensor, rng) / chain.physics.dn_per_e
+        frame_e = read_out(np.full(sensor.shape, signal_e), 0.02, sensor, rng) / chain.readout.dn_per_e
         mean, variance, *_ = (float(values) for values in code_moments([table], np.array(signal_e), frame_e.var()))
         assert frame_e.mean() == pytest.approx(mean, abs=(4 / 600 + 1e-3) * math.sqrt(variance))
         assert frame_e.var() == pytest.approx(variance, rel=0.02)
@@ -294,16 +294,16 @@ def test_codes_near_the_top_have_the_mean_and_variance_of_frames(own: dict[str, 
     """
     update = SMALL_WELL | own
     chain, rng = chain_of(EVEN, PIXEL.model_copy(update=update)), np.random.default_rng(45)
-    chain = replace(chain, physics=chain.physics.burst(exposures))
-    end_e = chain.physics.saturation_e
+    chain = replace(chain, readout=chain.readout.burst(exposures))
+    end_e = chain.readout.saturation_e
     table = top_table(chain.expected(0.02), end_e)
     assert table is not None
-    sensor = sample_sensor(chain.physics, (600, 600), rng)
+    sensor = sample_sensor(chain.readout, (600, 600), rng)
     for signal_e in end_e * np.array([0.9, 0.97, 1.0, 1.02, 1.1]):
         frame_dn = read_out(np.full(sensor.shape, signal_e), 0.02, sensor, rng)
-        dark_e = chain.physics.dark_current_e_per_s * 0.02
-        frame_e = (frame_dn - chain.physics.black_level_dn) / chain.physics.dn_per_e - dark_e
-        before_e2 = variance_of_pixels_e2(chain.physics, signal_e, 0.02)
+        dark_e = chain.readout.dark_current_e_per_s * 0.02
+        frame_e = (frame_dn - chain.readout.black_level_dn) / chain.readout.dn_per_e - dark_e
+        before_e2 = variance_of_pixels_e2(chain.readout, signal_e, 0.02)
         mean, variance, *_ = (float(values) for values in code_moments([table], np.array(signal_e), before_e2))
         assert frame_e.mean() == pytest.approx(mean, abs=(4 / 600 + 5e-3) * math.sqrt(before_e2))
         assert frame_e.var() == pytest.approx(variance, rel=0.05, abs=1e-3 * before_e2)
@@ -334,7 +334,7 @@ def test_detectability_of_what_clips_is_the_ratio_of_the_best_template_in_frames
     expected = _d_prime(chain.expected(time_s))
 
     tables = code_tables(chain.expected(time_s), target_e, background_e)
-    before_e2 = variance_of_pixels_e2(chain.physics, background_e, time_s)
+    before_e2 = variance_of_pixels_e2(chain.readout, background_e, time_s)
     moments = [code_moments(tables, signal_e, before_e2) for signal_e in (target_e, background_e)]
     column = np.arange(side**2) % side
     same_column = column[:, None] == column
@@ -345,8 +345,8 @@ def test_detectability_of_what_clips_is_the_ratio_of_the_best_template_in_frames
 
     outputs = []
     for signal_e in (target_e, background_e):
-        sensor = sample_sensor(chain.physics, (side, side * frames), rng)  # frames side by side have columns of their own
-        drawn = read_out(np.tile(signal_e, frames), time_s, sensor, rng) / chain.physics.dn_per_e
+        sensor = sample_sensor(chain.readout, (side, side * frames), rng)  # frames side by side have columns of their own
+        drawn = read_out(np.tile(signal_e, frames), time_s, sensor, rng) / chain.readout.dn_per_e
         outputs.append(np.tensordot(drawn.reshape(side, frames, side), template.reshape(side, side), axes=[[0, 2], [0, 1]]))
     variance = np.mean([output.var(ddof=1) for output in outputs])
     ratio = (outputs[0].mean() - outputs[1].mean()) / math.sqrt(variance)
@@ -376,7 +376,7 @@ def test_pixels_with_the_same_certain_code_in_both_pictures_count_nothing() -> N
 def test_information_and_quanta_do_not_jump_at_the_end_of_the_well() -> None:
     """From 0.1 % below the end to 0.1 % above it, a tenth of the noise: less, by a few per cent; far beyond it nothing is left."""
     chain = chain_of(EVEN)
-    end_e = chain.physics.saturation_e
+    end_e = chain.readout.saturation_e
     found = []
     for of_end in (0.999, 1.001, 1.1):
         at = replace(chain, exposure=pixsim.Exposure(integration_s=of_end * end_e / float(chain.signal_e_per_s.max())))
@@ -593,7 +593,7 @@ def test_information_of_a_flat_spectrum_is_its_closed_form() -> None:
     judged = FrameUnderTest.of(chain, chain.capture("a"))
     bits = METRICS["information"].compute(judged)[0]
     mean_e = 0.02 * float(chain.signal_e_per_s.mean())
-    noise = (mean_e + 16.0 + 1 / (12 * chain.physics.dn_per_e**2)) * 0.004**2
+    noise = (mean_e + 16.0 + 1 / (12 * chain.readout.dn_per_e**2)) * 0.004**2
     white = (0.15 * mean_e) ** 2 / (2 * math.pi * math.log(2)) / 1e10  # far below the corner the spectrum is even
     axis = np.linspace(-125.0, 125.0, 501)
     seen = white * sensor_mtf(frame, axis, axis[:, None]) ** 2
@@ -613,7 +613,7 @@ def test_neq_is_the_quanta_less_noise_and_blur() -> None:
     frame = chain.expected(0.02)
     frequency, neq = neq_along(frame)
     quanta = 0.02 * float(chain.signal_e_per_s.mean())
-    at_0 = quanta**2 / (quanta + 16.0 + 1 / (12 * chain.physics.dn_per_e**2)) / 0.004**2
+    at_0 = quanta**2 / (quanta + 16.0 + 1 / (12 * chain.readout.dn_per_e**2)) / 0.004**2
     assert frequency[[0, -1]].tolist() == [0.0, 125.0]
     np.testing.assert_allclose(neq, at_0 * sensor_mtf(frame, frequency, np.zeros(1)) ** 2, rtol=1e-9)
     lens = float(pixsim.optics.diffraction_otf(125.0, 550.0, CAMERA.effective_f_number))
@@ -633,7 +633,7 @@ def test_veil_is_noise_and_no_signal_to_quanta_and_information() -> None:
     own = 0.02 * float(plain.signal_e_per_s.mean())
     of_pixels = own * (1 + g * outside)
     assert 0.02 * float(chain.signal_e_per_s.mean()) == pytest.approx(of_pixels, rel=1e-6)
-    noise = of_pixels + 16.0 + 1 / (12 * chain.physics.dn_per_e**2)
+    noise = of_pixels + 16.0 + 1 / (12 * chain.readout.dn_per_e**2)
     assert neq_along(chain.expected(0.02))[1][0] == pytest.approx((own * (1 - g)) ** 2 / noise / 0.004**2, rel=1e-6)
     found = [
         pixsim.evaluate(EVEN, each, PIXEL, EXPOSURE, DISPLAY, metrics=["information"]).metrics["information"]
@@ -650,7 +650,7 @@ def test_veil_takes_contrast_from_the_surfaces_of_niirs() -> None:
     found = [pixsim.evaluate(EVEN, each, PIXEL, EXPOSURE, DISPLAY, metrics=["niirs"]).metrics["niirs"] for each in own]
     chain = imaging_chain(EVEN, camera.without_veil, PIXEL, EXPOSURE, DISPLAY)
     white, even = 0.02 * chain.white_e_per_s, 0.02 * float(chain.signal_e_per_s.mean())
-    fixed = 16.0 + 1 / (12 * chain.physics.dn_per_e**2)
+    fixed = 16.0 + 1 / (12 * chain.readout.dn_per_e**2)
     plain = 0.08 * white / math.sqrt(0.15 * white + fixed)
     veiled = 0.08 * white * (1 - g) / math.sqrt(0.15 * white * (1 - g) + g * even + fixed)
     ground_m = 1e-6 * 4.0 / abs(camera.magnification)
@@ -716,7 +716,7 @@ def test_snr10_is_the_light_at_which_a_dot_has_it() -> None:
     area = (400 / 64 / 4.0) ** 2  # pixels a dot
     rng = np.random.default_rng(0)
     counts = 20_000
-    electrons = rng.poisson(mean_e, counts) + rng.normal(0.0, math.sqrt(16.0 + 1 / (12 * chain.physics.dn_per_e**2)), counts)
+    electrons = rng.poisson(mean_e, counts) + rng.normal(0.0, math.sqrt(16.0 + 1 / (12 * chain.readout.dn_per_e**2)), counts)
     snr = math.sqrt(area) * electrons.mean() / electrons.std()
     assert snr == pytest.approx(10.0, abs=3 * 10.0 / math.sqrt(2 * counts))
 

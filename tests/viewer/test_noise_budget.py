@@ -21,6 +21,7 @@ from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.noise import SOURCES, NoiseSource, without_source
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
+from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import frame_variance_dn2, sample_sensor
 from pixsim.show.render import text
 from pixsim.studies.merit import noise_budgets
@@ -88,8 +89,8 @@ def test_variances_add_up_to_that_of_frames() -> None:
     assert {*found.electrons_e} == {ROUNDING, DARK, SHOT, *(source.name for source in SOURCES if source.name != "reset noise")}
     assert found.total_e**2 == pytest.approx(np.mean(np.square(off)), rel=0.02)
     assert found.total_e**2 == pytest.approx(sum(e**2 for e in found.electrons_e.values()), rel=1e-12)
-    physics, (first, *_) = chain.physics, frames
-    closed = frame_variance_dn2(first.mean_e, 0.02, physics) / physics.dn_per_e**2
+    readout, (first, *_) = chain.readout, frames
+    closed = frame_variance_dn2(first.mean_e, 0.02, readout) / readout.dn_per_e**2
     assert found.total_e**2 == pytest.approx(float(closed.mean()), rel=1e-12)
     largest = max(found.electrons_e.values())
     assert all(e > 0.05 * largest for e in found.electrons_e.values()), found.electrons_e
@@ -153,14 +154,14 @@ def test_motion_takes_off_what_it_adds() -> None:
 
 @pytest.mark.parametrize("source", [source.name for source in SOURCES])
 def test_a_source_that_is_off_is_drawn_no_more(source: str) -> None:
-    physics = derive(Pixel(**ALL, hot_pixel_fraction=0.01, hot_pixel_median=30.0))
-    without = without_source(physics, source)
+    readout = Readout.of(derive(Pixel(**ALL, hot_pixel_fraction=0.01, hot_pixel_median=30.0)))
+    without = without_source(readout, source)
     (removed,) = (each for each in SOURCES if each.name == source)
-    whole, left = (float(frame_variance_dn2(5000.0, 0.02, p)) / physics.dn_per_e**2 for p in (physics, without))
+    whole, left = (float(frame_variance_dn2(5000.0, 0.02, p)) / readout.dn_per_e**2 for p in (readout, without))
     charge = {"": 1.0, "light": 5000.0, "dark": 180.0}[removed.grows_with]
-    assert whole - left == pytest.approx((removed.deviation(physics) * charge) ** 2, rel=1e-9, abs=1e-9)
+    assert whole - left == pytest.approx((removed.deviation(readout) * charge) ** 2, rel=1e-9, abs=1e-9)
     maps = {"PRNU": "gain", "DSNU": "dark_gain", "column FPN": "column_offset_e", "offset FPN": "offset_e"}
-    drawn = [sample_sensor(p, (8, 8), np.random.default_rng(0)) for p in (physics, without)]
+    drawn = [sample_sensor(p, (8, 8), np.random.default_rng(0)) for p in (readout, without)]
     for name, drawn_map in maps.items():
         assert getattr(drawn[0], drawn_map) is not None
         assert (getattr(drawn[1], drawn_map) is None) == (name == source)
@@ -175,12 +176,12 @@ def test_a_new_source_has_its_line(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_finer_adc_has_the_same_range() -> None:
-    physics = derive(Pixel(**ALL)).at_gain(12.0)
-    finer = finer_adc(physics)
-    assert finer.adc_range_e == pytest.approx(physics.adc_range_e, rel=2**-9)
-    assert finer.dn_per_e / physics.dn_per_e == pytest.approx(256, rel=1e-12)
-    assert finer.pixel.black_level_dn / finer.dn_per_e == pytest.approx(physics.pixel.black_level_dn / physics.dn_per_e, rel=1e-12)
-    assert finer_adc(replace(physics, pixel=physics.pixel.model_copy(update={"bits": 24}))).pixel.bits == 31
+    readout = Readout.of(derive(Pixel(**ALL))).at(Exposure(gain_db=12.0))
+    finer = finer_adc(readout)
+    assert finer.adc_range_e == pytest.approx(readout.adc_range_e, rel=2**-9)
+    assert finer.dn_per_e / readout.dn_per_e == pytest.approx(256, rel=1e-12)
+    assert finer.adc.black_level_dn / finer.dn_per_e == pytest.approx(readout.adc.black_level_dn / readout.dn_per_e, rel=1e-12)
+    assert finer_adc(replace(readout, adc=replace(readout.adc, bits=24))).adc.bits == 31
 
 
 def test_run_tells_its_budget_where_it_is_asked() -> None:

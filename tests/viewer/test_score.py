@@ -116,7 +116,7 @@ def test_records_of_an_evaluation_pass_the_checks_that_it_leaves_out(pixel):
         assert vars(checked).keys() == vars(record).keys()
         assert all(vars(checked)[name] is value or vars(checked)[name] == value for name, value in vars(record).items())
     with pytest.raises(TypeError, match="missing"):
-        made(type(sensor), chain.physics)
+        made(type(sensor), chain.readout)
 
 
 def test_prepare_scene_without_running_integral_is_equal(monkeypatch):

@@ -1,0 +1,279 @@
+"""How a pixel is read: gain, exposures, ADC, black level and binning, with the range, the noise and the saturation that follow.
+
+`PixelPhysics` is what light and time make of a pixel; a `Readout` is one reading of its charge. Closed forms of noise, range and
+codes, and the kernels that draw frames, take a `Readout`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+from pixsim.base.arguments import Count, NotNegative, Positive, checks_arguments, checks_fields
+from pixsim.base.errors import invalid
+from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.mismatch import DarkSpread
+from pixsim.sensor.noise import constant_e, variance_e2
+from pixsim.sensor.pixel import PixelPhysics, read_noises_e
+from pixsim.sensor.quantities import MAX_CODE_BITS, FrameBits, GainDb
+from pixsim.sensor.stages import acting_on
+
+# The public names; everything else is internal.
+__all__ = ["Adc", "Readout"]
+
+
+@checks_fields
+@dataclass(frozen=True)
+class Adc:
+    """An analogue-to-digital converter, and how electrons become codes at 0 dB: by a gain, or by the charge that the codes span.
+
+    bits : of a code
+    black_level_dn : code without a signal
+    gain_e_per_dn : electrons per code; None: the codes above the black level span `span_e`
+    span_e : signal at the top code; None beside a gain
+    """
+
+    bits: FrameBits
+    black_level_dn: NotNegative
+    gain_e_per_dn: Positive | None = None
+    span_e: Positive | None = None
+
+    def __post_init__(self) -> None:
+        """Raise PixsimError unless either a gain or a span is given."""
+        if (self.gain_e_per_dn is None) == (self.span_e is None):
+            got = f"gain_e_per_dn = {self.gain_e_per_dn} and span_e = {self.span_e}"
+            raise invalid("Adc", got, "one of them, and None for the other")
+
+    @property
+    def top_code_dn(self) -> int:
+        """Highest code."""
+        return int(2**self.bits - 1)
+
+    @property
+    def codes_dn(self) -> float:
+        """Codes above the black level."""
+        return self.top_code_dn - self.black_level_dn
+
+    @property
+    def full_scale_e(self) -> float:
+        """Signal at the top code at 0 dB."""
+        if self.gain_e_per_dn is not None:
+            return self.codes_dn * self.gain_e_per_dn
+        assert self.span_e is not None  # as checked
+        return self.span_e
+
+    @property
+    def dn_per_e(self) -> float:
+        """Codes per electron at 0 dB."""
+        return self.codes_dn / self.full_scale_e if self.gain_e_per_dn is None else 1 / self.gain_e_per_dn
+
+
+def _adc_of(physics: PixelPhysics, pixels: int) -> Adc:
+    """Return the ADC of the sum of some pixels, whose range is that of all of them."""
+    pixel, gain_e_per_dn = physics.pixel, physics.pixel.stated_gain_e_per_dn
+    if gain_e_per_dn is not None:
+        return Adc(pixel.bits, pixel.black_level_dn, gain_e_per_dn=pixels * (physics.growth * gain_e_per_dn))
+    span_e = physics.full_well_e if pixel.adc_full_scale_e is None else physics.growth * pixel.adc_full_scale_e
+    return Adc(pixel.bits, pixel.black_level_dn, span_e=pixels * span_e)
+
+
+@checks_fields
+@dataclass(frozen=True)
+class Readout:
+    """How a pixel is read. Currents, charges and noise are those of what is read, one pixel or the sum of binned ones.
+
+    Numbers of charge and noise are those of one exposure; `saturation_e`, `noise_floor_e`, `offset_e` and codes are those of a
+    frame, which may be the sum of several. Noise is a standard deviation.
+
+    physics : of a single pixel
+    adc : of an exposure, at 0 dB
+    read_noise_e : temporal, before the amplifier, without the reset noise
+    read_noise_after_gain_e : temporal, after the amplifier, in electrons at 0 dB
+    gain_db : amplification before the ADC
+    exposures : that are summed to a frame
+    bin_side : pixels along a side of those whose charge is read as one
+    silent : names of noise sources that are switched off
+
+    Raises PixsimError if the codes of a frame have more than 31 bits.
+    """
+
+    physics: PixelPhysics
+    adc: Adc
+    read_noise_e: NotNegative
+    read_noise_after_gain_e: NotNegative = 0.0
+    gain_db: GainDb = 0.0
+    exposures: Count = 1
+    bin_side: Count = 1
+    silent: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Raise PixsimError if the codes of a frame have more than 31 bits."""
+        if self.code_bits > MAX_CODE_BITS:
+            got = f"{self.exposures} exposures of {self.adc.bits} bits, whose sum has {self.code_bits}"
+            raise invalid("exposure.frames", got, f"sums of at most {MAX_CODE_BITS} bits", "Take fewer exposures or bits.")
+
+    @classmethod
+    def of(cls, physics: PixelPhysics, exposure: Exposure | None = None, *, bin_side: int | None = None) -> Readout:
+        """Return how the settings of a pixel and of an exposure have it read.
+
+        exposure : None: at 0 dB, in one exposure
+        bin_side : None: that of the pixel; 1 for the single pixels of a sensor that bins
+
+        Raises PixsimError if the codes of a frame have more than 31 bits.
+
+        >>> from pixsim.sensor.pixel import derive
+        >>> from pixsim.sensor.pixel_options import Pixel
+        >>> pixel = derive(Pixel(technology="4t-bsi", pitch_um=1.2, read_noise_e=1.5, read_noise_after_gain_e=4))
+        >>> readout, amplified = Readout.of(pixel), Readout.of(pixel, Exposure(gain_db=20 * math.log10(8)))
+        >>> round(readout.adc_range_e / amplified.adc_range_e, 6), round(amplified.noise_floor_e, 3)  # √(1.5² + (4/8)²)
+        (8.0, 1.581)
+        """
+        bin_side = physics.pixel.bin_side if bin_side is None else bin_side
+        before_e, after_e = read_noises_e(physics.pixel, physics.technology)
+        readout = cls(physics, _adc_of(physics, bin_side**2), before_e, after_e, bin_side=bin_side)
+        return readout if exposure is None else readout.at(exposure)
+
+    @checks_arguments
+    def at(self, exposure: Exposure) -> Readout:
+        """Return the reading in an exposure: at its gain, in as many exposures. Raises PixsimError as `Readout` does."""
+        readout = self if exposure.gain_db == self.gain_db else replace(self, gain_db=exposure.gain_db)
+        for stage in acting_on("frame"):
+            readout = stage.act(readout, exposure)
+        return readout
+
+    @checks_arguments
+    def burst(self, exposures: Count) -> Readout:
+        """Return the reading of frames that are the sum of so many exposures. Raises PixsimError as `Readout` does.
+
+        >>> from pixsim.sensor.pixel import derive
+        >>> from pixsim.sensor.pixel_options import Pixel
+        >>> readout = Readout.of(derive(Pixel(technology="4t-bsi", pitch_um=1.2, read_noise_e=1.5)))
+        >>> readout.burst(4).noise_floor_e, readout.burst(4).saturation_e / readout.saturation_e
+        (3.0, 4.0)
+        """
+        return self if exposures == self.exposures else replace(self, exposures=exposures)
+
+    def with_physics(self, **numbers: Any) -> Readout:
+        """Return the same reading of a pixel with other numbers, fields of `PixelPhysics`; the ADC stays."""
+        return replace(self, physics=replace(self.physics, **numbers))
+
+    @property
+    def _pixels(self) -> int:
+        """Number of pixels whose charge is read as one."""
+        return self.bin_side**2
+
+    @property
+    def full_well_e(self) -> float:
+        """Charge that is held: wells add up. A full pixel of a sum that is not full is not seen."""
+        return self._pixels * self.physics.full_well_e
+
+    @property
+    def dark_current_e_per_s(self) -> float:
+        """Mean dark current; dark currents add up."""
+        return self._pixels * self.physics.dark_current_e_per_s
+
+    @property
+    def prnu(self) -> float:
+        """Spread of the gain, relative to its mean: of the mean of as many pixels."""
+        return self.physics.prnu / self.bin_side
+
+    @cached_property
+    def dark_spread(self) -> DarkSpread:
+        """Dark currents relative to their mean: of ordinary pixels, and of those with a hot one among them."""
+        p, others = self.physics, self._pixels - 1
+        fraction, median = p.hot_pixel_fraction, p.hot_pixel_median
+        if fraction and others:
+            fraction, median = 1 - (1 - fraction) ** self._pixels, (median + others) / self._pixels
+        return DarkSpread(p.dsnu / self.bin_side, fraction, median, p.hot_pixel_spread)
+
+    @property
+    def black_level_dn(self) -> float:
+        """DN of a frame without light and dark charge."""
+        return self.exposures * self.adc.black_level_dn
+
+    @property
+    def top_code_dn(self) -> int:
+        """Highest DN of a frame."""
+        return self.exposures * self.adc.top_code_dn
+
+    @property
+    def code_bits(self) -> int:
+        """Bits that hold the DN of a frame: those of the ADC, or of a sum."""
+        return self.top_code_dn.bit_length()
+
+    @property
+    def rounding_variance_dn2(self) -> float:
+        """Variance of a frame by the rounding of each exposure, LSB²/12."""
+        return self.exposures / 12
+
+    @property
+    def amplification(self) -> float:
+        """10^(gain_db/20), a ratio of voltages."""
+        return float(10 ** (self.gain_db / 20))
+
+    @property
+    def dn_per_e(self) -> float:
+        """Gain: that of the ADC at 0 dB times the amplification."""
+        return self.adc.dn_per_e * self.amplification
+
+    @property
+    def adc_range_e(self) -> float:
+        """Signal at the ADC's top code: the full scale over the amplification."""
+        return self.adc.full_scale_e / self.amplification
+
+    @property
+    def saturation_e(self) -> float:
+        """Signal that saturates a frame: the lower of the full well and of the ADC's range, in each exposure."""
+        return self.exposures * min(self.full_well_e, self.adc_range_e)
+
+    @property
+    def read_noise_at_gain_e(self) -> float:
+        """Temporal read noise, √(before² + (after/amplification)²), without the reset noise."""
+        return math.hypot(self.read_noise_e, self.read_noise_after_gain_e / self.amplification)
+
+    @property
+    def noise_floor_e(self) -> float:
+        """Temporal dark noise without dark charge: reset, read and row noise."""
+        return constant_e(self, is_temporal=True)
+
+    @property
+    def offset_e(self) -> float:
+        """Spread of all offsets of pixels and columns."""
+        return constant_e(self, is_temporal=False)
+
+    @checks_arguments
+    def dynamic_range_db(self, integration_s: NotNegative) -> float:
+        """Return the dynamic range: 20 log₁₀ of saturation less the dark charge, over the dark noise (Chen et al. 2000, eq. 1).
+
+        Raises PixsimError if the dark charge fills the well.
+
+        >>> from pixsim.sensor.pixel import derive
+        >>> from pixsim.sensor.pixel_options import Pixel
+        >>> paper = Readout.of(derive(Pixel(capacitance="paper")))
+        >>> round(paper.dynamic_range_db(0.03), 1)  # Fig. 2a has 35 to 70 dB
+        61.1
+        """
+        dark_e = self.dark_current_e_per_s * integration_s
+        if dark_e >= self.saturation_e:
+            allowed, hint = f"less than saturation, {self.saturation_e:.4g} e-", "Shorten the integration time or cool the sensor."
+            raise invalid("integration_s of the dynamic range", f"{dark_e:.4g} e- of dark charge", allowed, hint)
+        variance_e2 = self._dark_variance_e2(dark_e)
+        return 20 * math.log10((self.saturation_e - dark_e) / math.sqrt(variance_e2)) if variance_e2 else math.inf
+
+    @checks_arguments
+    def snr_db(self, signal_e: NotNegative, integration_s: NotNegative) -> float:
+        """Return the SNR of a signal charge (Chen et al. 2000, eq. 2); -inf for a charge of 0.
+
+        Raises PixsimError if the charge is negative.
+        """
+        if signal_e <= 0:
+            if signal_e < 0:
+                raise invalid("signal_e", signal_e, "0 or more electrons")
+            return -math.inf
+        dark_e = self.dark_current_e_per_s * integration_s
+        return 20 * math.log10(signal_e / math.sqrt(self._dark_variance_e2(dark_e) + signal_e))
+
+    def _dark_variance_e2(self, dark_e: float) -> float:
+        return float(variance_e2(self, is_temporal=True, dark_e=dark_e)) + dark_e
