@@ -417,7 +417,7 @@ def test_a_small_light_fills_no_pixel_and_shows_all_parts_of_the_field() -> None
         frame, camera = base.frame, base.imaging.camera
         assert frame.dn.shape == (20, 20)
         assert frame.integration_s < exposure.max_integration_s
-        assert 0.3 * base.read.saturation_e < base.mean_e.max() < base.read.saturation_e
+        assert 0.3 * base.readout.saturation_e < base.mean_e.max() < base.readout.saturation_e
         assert camera.fov_deg == pytest.approx(Camera().fov_deg, rel=1e-9)
         assert camera.die_um == pytest.approx((20 * 5.0, 20 * 5.0), rel=1e-9)
 
