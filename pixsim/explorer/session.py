@@ -29,6 +29,7 @@ from pixsim.studies.run import LIGHT_FILE, LitRun, RunJob, RunResult, light_run,
 from pixsim.viewer.metric_registry import METRICS
 from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.scene_light import RecentScenes
+from pixsim.viewer.score import converged
 from pixsim.viewer.screen import HEADER_OF_WHITE
 from pixsim.viewer.settings_file import run_settings
 
@@ -238,7 +239,8 @@ class Session:
         preset, tables = self._settings(asked, number)
         flags = [word for name in ("sensor", "variant", "units") if (value := getattr(job, name)) for word in (f"--{name}", value)]
         own = (job.source, preset.config, tables) if isinstance(self.source, str) else (LIGHT_FILE, (Path(SETTINGS_FILE),), {})
-        found |= {"lines": text(run_document(result), LINE).splitlines(), "unsure": "" if result.light.converged else NOT_CONVERGED}
+        is_sure = converged(result.light, result.light_limit)
+        found |= {"lines": text(run_document(result), LINE).splitlines(), "unsure": "" if is_sure else NOT_CONVERGED}
         return found | {"command": command_words(*own, REPEATS, flags), "settings": run_settings_text(job, result.irradiance)}
 
     def _values(self, result: RunResult) -> dict[str, object]:

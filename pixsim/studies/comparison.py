@@ -34,9 +34,8 @@ from pixsim.viewer.dark_clip import clip_words, clips_dark
 from pixsim.viewer.develop_options import developed_words
 from pixsim.viewer.display import white_light
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.light_error import Cause, LightError
 from pixsim.viewer.metrics import DELTA_E, Metric
-from pixsim.viewer.score import FrameScore
+from pixsim.viewer.score import Cause, FrameScore, noise_error_and_limit, unmet
 from pixsim.viewer.setting import Run
 
 if TYPE_CHECKING:
@@ -407,8 +406,8 @@ class Comparison:
             where = f" in {group.first.condition}" if group.first.condition else ""
             for sensor in self.of_group(group).values():
                 sized += [(cause.delta_e, f"{sensor.name}{where}: {cause.words}") for cause in sensor.causes]
-                errors = LightError.of(sensor.light.image.header).errors
-                sized += [(size, f"{NOT_CONVERGED}: {words}") for size, words in errors]
+                noise = unmet(*noise_error_and_limit(sensor.light.image.header))
+                sized += [(size, f"{NOT_CONVERGED}: {words}") for size, words in noise]
         sized.sort(key=lambda pair: -pair[0])
         noisiest = next((words for _, words in sized if words.startswith(NOT_CONVERGED)), "")
         return list(dict.fromkeys(words for _, words in sized if not words.startswith(NOT_CONVERGED) or words == noisiest))

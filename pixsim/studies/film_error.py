@@ -14,7 +14,7 @@ it cancels in its mean, and so may be small by chance.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
 from typing import Any
@@ -44,7 +44,7 @@ from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.noise_budget import noiseless_frame
 from pixsim.viewer.scene_light import SceneLight, prepare_scene
-from pixsim.viewer.score import FrameScore
+from pixsim.viewer.score import FrameScore, LightError, noise_error_and_limit
 from pixsim.viewer.screen import white_header
 
 MIN_CELLS = 4  # across a film
@@ -339,6 +339,18 @@ class FilmError:
             "delta_e_at_pitch": known,
             "tolerated_delta_e": [float(f"{most:.3g}") for most in self.tolerated_delta_e],
         }
+
+
+def light_error_and_limit(header: Mapping[str, Any], film: FilmError | None) -> tuple[LightError, LightError]:
+    """Return the largest errors of a mean ΔE by its film and by the noise of its render, and what is tolerated of them.
+
+    header : of the irradiance
+    film : None if its error was not measured
+    """
+    error, limit = noise_error_and_limit(header)
+    if film is None:
+        return error, limit
+    return replace(error, film_delta_e=film.largest_delta_e), replace(limit, film_delta_e=min(film.tolerated_delta_e))
 
 
 def measure_film(

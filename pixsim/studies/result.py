@@ -33,7 +33,7 @@ from pixsim.show.render import cell_of
 from pixsim.show.sentences import few, sentence, settings_line, span
 from pixsim.studies.design import BASE, Case, case_words
 from pixsim.studies.evaluate import Counts, LitCase, frames_of, lit_cases, task_of
-from pixsim.studies.film_error import FilmError
+from pixsim.studies.film_error import FilmError, light_error_and_limit
 from pixsim.studies.keys import REPEATS_PER_TASK
 from pixsim.studies.lights import Light
 from pixsim.studies.merit import LightLevel
@@ -59,10 +59,9 @@ from pixsim.viewer.dark_clip import clip_words, clips_dark, dark_clip
 from pixsim.viewer.develop_options import developed_words
 from pixsim.viewer.display import white_light, white_rate
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.light_error import NOTHING_KNOWN, Cause, LightError
 from pixsim.viewer.metrics import DELTA_E, Metric, columns_of_metrics, columns_with_numbers
 from pixsim.viewer.scene_light import SceneCache
-from pixsim.viewer.score import FrameScore
+from pixsim.viewer.score import NOT_MEASURED, Cause, FrameScore, LightError
 from pixsim.viewer.screen import display_image
 
 if TYPE_CHECKING:
@@ -94,7 +93,7 @@ class Curve:
     label : the technology's name for readers, unique in a study
     fresnel_number : (pitches,) of microlenses, below 1 where the model of their diffraction is doubtful; None without microlenses
     data_sheet : whether the sensor is described by its data sheet only, without a process
-    light : errors of the light, the film's at the best of the pitches
+    light, light_limit : errors of the light, the film's at the best of the pitches, and what is tolerated of them
     at, condition, alone : of its case (`pixsim.studies.design.Case`), in a study with axes or conditions
     left_out : pitches in µm that are not among them, each with the reason
     on_displays : optima with half and with twice the display's dots, of a data sheet's sensor
@@ -115,7 +114,8 @@ class Curve:
     fit: FittedCurve = field(repr=False)
     label: str = ""
     data_sheet: bool = False
-    light: LightError = field(default=NOTHING_KNOWN, repr=False)
+    light: LightError = field(default=NOT_MEASURED, repr=False)
+    light_limit: LightError = field(default=NOT_MEASURED, repr=False)
     fresnel_number: Array | None = field(default=None, repr=False)
     at: dict[str, float | int | str] = field(default_factory=dict)
     condition: str = ""
@@ -386,18 +386,19 @@ class StudyResult:
     def _labelled(self, curve: Curve, label: str) -> Curve:
         """Return a curve with its label, and the errors of its light."""
         part, words = self.part_of(curve), curve.words
-        light = LightError.of(part.irradiance.header, part.film_at_best(curve), curve.causes)
+        light, limit = light_error_and_limit(part.irradiance.header, part.film_at_best(curve))
         fresnel = None
         if has_microlens(part.study.options_of(curve.technology), technology_of(part.study, curve.technology)):
             nm, pitches_um = part.irradiance.wavelength_nm, curve.pitch_um.tolist()
             fresnel = np.array([least_fresnel_number(part.physics(curve.technology, um), nm) for um in pitches_um], float)
-        return replace(curve, label=", ".join(filter(None, (label, words))), light=light, fresnel_number=fresnel)
+        name = ", ".join(filter(None, (label, words)))
+        return replace(curve, label=name, light=light, light_limit=limit, fresnel_number=fresnel)
 
     @checks_arguments
-    def film_at_best(self, curve: Curve) -> dict[str, Any] | None:
-        """Return `FilmError.as_dict` at the pitch of a curve with the least mean ΔE; None if the film was not measured."""
+    def film_at_best(self, curve: Curve) -> FilmError | None:
+        """Return the error of the film at the pitch of a curve with the least mean ΔE; None if it was not measured."""
         best_um = float(curve.pitch_um[np.nanargmin(curve.mean())])
-        return None if self.film is None else self.film.at(best_um).as_dict()
+        return None if self.film is None else self.film.at(best_um)
 
     @checks_arguments
     def part_of(self, curve: Curve) -> StudyResult:

@@ -39,6 +39,7 @@ from pixsim.studies.design import Case, Job
 from pixsim.studies.engine import Workers
 from pixsim.studies.evaluate import FirstFrame, LitCase, evaluate_points
 from pixsim.studies.files import scene_table
+from pixsim.studies.film_error import light_error_and_limit
 from pixsim.studies.lights import Light, LightRequest, light_request, rendered_light
 from pixsim.studies.paired import mean_interval, spread_interval
 from pixsim.studies.prepare import check_metrics, choose_view, is_picture, loaded_scene, scene_with_view, with_view
@@ -55,12 +56,11 @@ from pixsim.viewer.develop_options import of_python
 from pixsim.viewer.display import dot_edges_um, white_light, white_rate
 from pixsim.viewer.evaluate import reviewed
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.light_error import Cause, LightError
 from pixsim.viewer.metric_registry import metrics_named, names_of
 from pixsim.viewer.metrics import DELTA_E, NoNumberError, columns_with_numbers
 from pixsim.viewer.noise_budget import NoiseBudget, noise_budget
 from pixsim.viewer.scene_light import PreparedScene, SceneCache, SceneLight, prepare_scene, registered_in
-from pixsim.viewer.score import FrameScore, Score
+from pixsim.viewer.score import Cause, FrameScore, LightError, Score, shown_mean
 from pixsim.viewer.screen import warn_of_clipping, white_header
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
@@ -357,8 +357,17 @@ class RunResult(LitRun):
 
     @property
     def light(self) -> LightError:
-        """What is known of the errors of the light."""
-        return LightError.of(self.irradiance.header, self.film, self.causes)
+        """The errors of the light."""
+        return self._light_and_limit[0]
+
+    @property
+    def light_limit(self) -> LightError:
+        """What is tolerated of the errors of the light."""
+        return self._light_and_limit[1]
+
+    @property
+    def _light_and_limit(self) -> tuple[LightError, LightError]:
+        return light_error_and_limit(self.irradiance.header, self.rendered.film if self.rendered else None)
 
     @cached_property
     def noise_budget(self) -> NoiseBudget | None:
@@ -372,7 +381,7 @@ class RunResult(LitRun):
         """Mean ΔE over all sensors as text, with its interval and the error of its light."""
         mean = self.mean_delta_e
         half = 0.0 if self.interval_delta_e is None else self.interval_delta_e[1] - mean
-        return self.light.shown(mean, half)
+        return shown_mean(mean, self.light, self.light_limit, self.causes, half)
 
     @property
     def assumption(self) -> str:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,16 +21,17 @@ from pixsim.scene.convergence import RENDER_NOISE, what_reaches
 from pixsim.sensor.stages import stage_words
 from pixsim.show.document import Answer, Block, DocumentTable, Fact, Strong, Text, has_room, headline, joined, plain_text
 from pixsim.show.sentences import few, interval, rounded, with_ends, with_error
+from pixsim.studies.film_error import FilmError, light_error_and_limit
 from pixsim.studies.merit import columns_on, moved_view, stated_end_lp_per_mm
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
 from pixsim.studies.regret import Regrets, metric_regrets
 from pixsim.viewer.causes import SATURATED_SHOWN
 from pixsim.viewer.develop_options import developed_words
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.light_error import LightError, noise_and_limit
 from pixsim.viewer.metric_registry import metric_known
 from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.raw_metrics import DETECTABILITY, INFORMATION, contrast_factor
+from pixsim.viewer.score import converged, mean_words, shown_mean, unmet
 from pixsim.viewer.screen import rounded_up
 
 if TYPE_CHECKING:
@@ -82,10 +84,11 @@ def _optimum_parts(curve: Curve) -> list[Text]:
         if outside := fit_outside_words(curve):
             return [(Strong(words),), *outside]
         size = "" if best.inside else ", the end of the range"
-        least = f"least {curve.light.number(best.mean_delta_e)} at {best.pitch_um:.2f} µm{size} ({interval})"
-        unsure = "" if curve.light.converged else f", {NOT_CONVERGED}"
+        mean = mean_words(best.mean_delta_e, curve.light, curve.light_limit, curve.causes)
+        least = f"least {mean} at {best.pitch_um:.2f} µm{size} ({interval})"
+        unsure = "" if converged(curve.light, curve.light_limit) else f", {NOT_CONVERGED}"
         return [(Strong(words),), f"mean ΔE is {least}{unsure}", within]
-    size_um, mean = f"{best.pitch_um:.2f} µm", f"mean ΔE {curve.light.shown(best.mean_delta_e)}"
+    size_um, mean = f"{best.pitch_um:.2f} µm", f"mean ΔE {shown_mean_of(curve, best.mean_delta_e)}"
     if best.inside:
         first = "optimal pixel size ", Strong(size_um)
         whole = (*first, f" ({interval}), {mean}")
@@ -103,7 +106,7 @@ def optima_table(curves: Sequence[Curve]) -> DocumentTable:
     for curve in curves:
         best = curve.optimum
         size = f"{best.pitch_um:.2f}" if best.inside else f"none; least at {best.pitch_um:.2f}, the end of the sizes"
-        sure = curve.light.converged and not curve.causes
+        sure = converged(curve.light, curve.light_limit) and not curve.causes
         within = (within_words(ends, curve) for ends in (best.within_1_percent_um, best.within_2_percent_um))
         rows.append(
             (
@@ -124,7 +127,12 @@ def optima_table(curves: Sequence[Curve]) -> DocumentTable:
 def _least_words(curve: Curve, form: str, is_sure: bool) -> str:
     """Return the best value of a curve, with its interval if the light is sure enough for one."""
     best = curve.optimum
-    return with_ends(best.value, best.value_interval, form) if is_sure else curve.light.shown(best.mean_delta_e)
+    return with_ends(best.value, best.value_interval, form) if is_sure else shown_mean_of(curve, best.mean_delta_e)
+
+
+def shown_mean_of(curve: Curve, mean_delta_e: float) -> str:
+    """Return a mean ΔE of a curve as text, with the errors of its light and its largest cause."""
+    return shown_mean(mean_delta_e, curve.light, curve.light_limit, curve.causes)
 
 
 def is_partly_filled(curve: Curve) -> bool:
@@ -149,7 +157,7 @@ def fit_outside_words(curve: Curve) -> list[str]:
     if not curve.fit_swings:
         return []
     best, mean = curve.optimum, curve.mean()
-    least = f"{curve.light.shown(mean.min())} at {curve.pitch_um[mean.argmin()]:.2f} µm"
+    least = f"{shown_mean_of(curve, float(mean.min()))} at {curve.pitch_um[mean.argmin()]:.2f} µm"
     fitted = f"the fitted curve has its minimum outside them, at {best.pitch_um:.2f} µm"
     return [f"least mean ΔE of the sizes tried {least}", f"{fitted}, which more pixel sizes there would confirm or not"]
 
@@ -208,35 +216,38 @@ def displays_words(curve: Curve) -> str:
 # --- how sure a mean ΔE is -------------------------------------------------------------------------------------------------------
 
 
-def unconverged(header: Mapping[str, Any], film: Mapping[str, Any] | None) -> list[str]:
+def unconverged(header: Mapping[str, Any], film: FilmError | None) -> list[str]:
     """Return a line on the errors of a result's light that are above their limits, and what makes them less; none without.
 
     header : of the irradiance
-    film : entry `film` of score.json
+    film : None if its error was not measured
     """
-    light = LightError.of(header, film)
-    if light.converged:
+    error, limit = light_error_and_limit(header, film)
+    if converged(error, limit):
         return []
-    found = f"{NOT_CONVERGED}: {'; '.join(reason for _, reason in light.errors)}"
+    first = f"{NOT_CONVERGED}: {'; '.join(words for _, words in unmet(error, limit))}"
     if film is None:
-        return [f"{found}. To be surer: a render of its own, with more samples"]
-    means, limit, noise = [], film.get("limit", ""), noise_and_limit(header)
-    if light.film_words and "--resolution" in limit:
+        return [f"{first}. To be surer: a render of its own, with more samples"]
+
+    means, noise = [], header.get("render_noise", {})
+    if not film.met and "--resolution" in film.limit:
         means.append(f"leaving out {setting('resolution')}")
-    if noise is not None and light.noise_words:
-        times, seconds = what_reaches(*noise)
-        by_clock = header["render_noise"].get("ended_by") == "max_seconds"
+    if not converged(replace(error, film_delta_e=None), limit):
+        delta_e, most_delta_e = error.noise_delta_e or math.nan, limit.noise_delta_e or math.nan
+        is_known = math.isfinite(delta_e)
+        times, seconds = what_reaches(delta_e, most_delta_e) if is_known else what_reaches(noise["fraction"], noise["target"])
+        by_clock = noise.get("ended_by") == "max_seconds"
         longer = f"a longer {setting('max_seconds')}"
         option = longer if by_clock else setting("max_seconds", f"{seconds:.15g}")
         means.append(f"{option} (about {times:.15g} times as many samples)")
-    elif noise is not None and header["render_noise"]["fraction"] > RENDER_NOISE:
+    elif noise.get("fraction", 0.0) > RENDER_NOISE:
         # Coarser films show it too, so that it counts as their error.
         means.append(f"a lower {setting('render_noise')}")
-    elif light.film_words and "--max-seconds" in limit:
+    elif not film.met and "--max-seconds" in film.limit:
         means.append(f"a longer {setting('max_seconds')}")
     surer = [" and ".join(means)] * bool(means)
     window = f"a smaller part of the die ({setting('window_mm')}, in mm)"
-    return [f"{found}. To be surer: {', or '.join([*surer, window])}"]
+    return [f"{first}. To be surer: {', or '.join([*surer, window])}"]
 
 
 def study_unconverged(result: StudyResult) -> list[str]:
@@ -295,8 +306,8 @@ def unsure_words(result: RunResult) -> list[str]:
 
     A black level that clips dark noise is among them where it makes more than another one.
     """
-    lines = unconverged(result.irradiance.header, result.film)
-    sized = [(size, line) for (size, _), line in zip(result.light.errors, lines, strict=False)]
+    lines = unconverged(result.irradiance.header, result.rendered.film if result.rendered else None)
+    sized = [(size, line) for (size, _), line in zip(unmet(result.light, result.light_limit), lines, strict=False)]
     sized += [(cause.delta_e, str(cause)) for cause in result.causes]
     least = min((size for size, _ in sized), default=math.inf)
     sized += [(size, note) for note in result.dark_notes if (size := result.dark["lightness"]) > least]
@@ -325,7 +336,7 @@ def score_parts(result: RunResult) -> list[Text]:
     if developed := developed_words(settings.develop, [settings.pixel]):
         parts.insert(1, developed)
     shown = ", ".join(filter(None, (border, *run_view_words(result))))
-    film = film_words(result.film) if result.film else result.light.unmeasured
+    film = film_words(result.film) if result.film else unmeasured_words(result)
     noise = noise_words(result.rendered.noise.fraction) if result.rendered and result.rendered.noise else ""
     return [*parts, "; ".join(filter(None, (shown, film, lens_words(result.camera), result.assumption, noise)))]
 
@@ -333,6 +344,13 @@ def score_parts(result: RunResult) -> list[Text]:
 def noise_words(fraction: float) -> str:
     """Return the noise of a render as a fraction of the sensor's noise, in words."""
     return f"render noise {fraction:.2g} of the sensor's noise" if fraction else "no render noise"
+
+
+def unmeasured_words(result: RunResult) -> str:
+    """Return what was not measured of light that pixsim rendered; empty for nothing, and for light of another program."""
+    light = result.light
+    parts = ["the film's error"] * (light.film_delta_e is None) + ["render noise"] * (light.noise_delta_e is None)
+    return f"{' and '.join(parts)} not measured" if "scene_hash" in result.irradiance.header and parts else ""
 
 
 def run_view_words(result: RunResult) -> list[str]:

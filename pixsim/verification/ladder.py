@@ -21,14 +21,14 @@ from pixsim.show.document import plain_text
 from pixsim.show.pages import Figures, plain, rows_csv
 from pixsim.show.render import notebook, write
 from pixsim.studies.design import Case
-from pixsim.studies.film_error import chains_of_film, measure_film, score_with, standard_noise_of
+from pixsim.studies.film_error import chains_of_film, light_error_and_limit, measure_film, score_with, standard_noise_of
 from pixsim.studies.lights import LightRequest, light_request, rendered_light
 from pixsim.studies.prepare import loaded_scene
 from pixsim.verification.case import ExtremeCase
 from pixsim.verification.extreme_cases import all_cases
 from pixsim.viewer.develop_options import with_functions
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.light_error import LightError
+from pixsim.viewer.score import NOT_MEASURED, LightError
 from pixsim.viewer.screen import white_header
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
@@ -51,7 +51,7 @@ class Rung:
     render_noise : its target, as a fraction of the sensor's noise; a film of twice the samples across has half of it
     seconds : of render and score
     mean_delta_e : of the sensor
-    light : errors that pixsim states by itself
+    light, light_limit : errors that pixsim states by itself, and what is tolerated of them
     error_delta_e : difference from the reference; NaN without one
     """
 
@@ -60,6 +60,7 @@ class Rung:
     seconds: float
     mean_delta_e: float
     light: LightError = field(repr=False)
+    light_limit: LightError = field(default=NOT_MEASURED, repr=False)
     error_delta_e: float = math.nan
 
     @property
@@ -70,7 +71,7 @@ class Rung:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the rung as in summary.json and ladder.csv."""
-        values = {name: value for name, value in vars(self).items() if name != "light"}
+        values = {name: value for name, value in vars(self).items() if name not in ("light", "light_limit")}
         return values | {"film_delta_e": self.light.film_delta_e, "noise_delta_e": self.light.noise_delta_e}
 
 
@@ -277,5 +278,5 @@ def _measure(request: LightRequest, imaging: Imaging, across: int, noise_times: 
         mean_delta_e = score_with(chain, noise).mean_delta_e
         seconds = time.perf_counter() - start
         film = measure_film(image, [imaging], chart=plan.chart)
-    light = LightError.of(image.header, film.as_dict())
-    return Rung(across, render_noise, seconds, mean_delta_e, light), noise
+    light, limit = light_error_and_limit(image.header, film)
+    return Rung(across, render_noise, seconds, mean_delta_e, light, limit), noise

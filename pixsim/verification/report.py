@@ -26,6 +26,7 @@ from pixsim.show.document import (
 from pixsim.show.figures import LOOKS, new_figure, own_style, plain_powers
 from pixsim.show.pages import Column, Plate, figure_files, plain, rows_csv
 from pixsim.show.sentences import number
+from pixsim.viewer.score import shown_mean
 
 if TYPE_CHECKING:
     from pixsim.verification.ladder import Accuracy
@@ -63,7 +64,9 @@ def accuracy_document(accuracy: Accuracy) -> Document:
 def answer(accuracy: Accuracy) -> Answer:
     """Return the error of the default settings and their run time."""
     rung = accuracy.rungs[-1]
-    words = f"{number(rung.error_delta_e)} of mean ΔE" if accuracy.reference else f"mean ΔE {rung.light.shown(rung.mean_delta_e)}"
+    words = f"mean ΔE {shown_mean(rung.mean_delta_e, rung.light, rung.light_limit)}"
+    if accuracy.reference:
+        words = f"{number(rung.error_delta_e)} of mean ΔE"
     return Answer(("Default settings: ", Strong(words), f", in {rung.seconds:.2g} s (render and score)"))
 
 

@@ -21,8 +21,8 @@ from pixsim.sensor.outside import SHOWN_SHARE, outside_hint, outside_share, outs
 from pixsim.sensor.reading import Readout
 from pixsim.viewer.display import setting_of_white
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.light_error import NOTHING, Cause
 from pixsim.viewer.scielab import xyz_to_lab
+from pixsim.viewer.score import NOTHING, Cause
 
 FEWEST_CODES = 8.0  # between black and display white; with fewer, the picture is that of the ADC
 SEEN_LIGHTNESS = 1.0  # of L*: the smallest difference that is noticeable

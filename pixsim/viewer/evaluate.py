@@ -23,13 +23,12 @@ from pixsim.viewer.develop_options import DEVELOP, Develop, check_develop
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.frame_under_test import FrameUnderTest, numbers_of
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.light_error import LightError
 from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.metric_registry import metrics_named
 from pixsim.viewer.metrics import Metric, MetricContext, MetricRequest, NoNumberError, columns_with_numbers
 from pixsim.viewer.review import review
 from pixsim.viewer.scene_light import PreparedScene, SceneLight, prepare_scene
-from pixsim.viewer.score import FrameScore, Score
+from pixsim.viewer.score import FrameScore, Score, noise_error_and_limit
 from pixsim.viewer.screen import warn_of_clipping, white_header, with_white
 from pixsim.viewer.without_effect import warn_of_records
 
@@ -208,4 +207,5 @@ def evaluate(
         if cause.leaves_nothing:
             warn(str(cause))
     # The ideal picture is that of the chain, which stays.
-    return replace(score, ideal=score.ideal.copy(), light=LightError.of(irradiance.header, causes=causes), _scored=None)
+    light, limit = noise_error_and_limit(irradiance.header)
+    return replace(score, ideal=score.ideal.copy(), light=light, light_limit=limit, causes=causes, _scored=None)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import os
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -11,6 +13,8 @@ import numpy as np
 from pixsim.base.arguments import Bounds, NotNegative, checks_arguments, checks_fields
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
+from pixsim.base.headline import NOT_CONVERGED
+from pixsim.base.notes import told_apart
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame
@@ -19,16 +23,58 @@ from pixsim.show.figures import new_figure, own_style
 from pixsim.show.pages import rows_csv
 from pixsim.show.pictures import VIEWING_GAMMA, scale_end
 from pixsim.show.render import cell_of
-from pixsim.show.sentences import sentence, settings_line
+from pixsim.show.sentences import sentence, settings_line, with_error
 from pixsim.viewer.delta_e_statistics import COLUMNS, delta_e_statistics, percentiles
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.light_error import NOTHING_KNOWN, LightError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FloatOrNaN = Annotated[float, Bounds(unknown=True)]
 PANEL_IN = 3.1  # width of each picture of a figure
+NOTHING = "the frame tells nothing"
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A cause of a mean ΔE.
+
+    words : for the headline
+    delta_e : how much of ΔE it can make, which decides on the order of causes
+    hint : what removes it
+    """
+
+    words: str
+    delta_e: float
+    hint: str
+
+    def __str__(self) -> str:
+        return f"{self.words}: {self.hint}"
+
+    @property
+    def leaves_nothing(self) -> bool:
+        """Whether the frame tells nothing of the light."""
+        return self.words.startswith(NOTHING)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the cause as in score.json."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class LightError:
+    """Errors of a mean ΔE by the light behind it; or their limits.
+
+    film_delta_e : by the film; NaN if it is unknown, None if it was not measured, or has no limit
+    noise_delta_e : by the noise of the render; likewise
+    """
+
+    film_delta_e: float | None = None
+    noise_delta_e: float | None = None
+
+
+NOT_MEASURED = LightError()
+ERROR_WORDS = {"film_delta_e": "the film's error", "noise_delta_e": "the error by render noise"}
 
 
 @checks_fields
@@ -107,14 +153,17 @@ class FrameScore(Score):
     readout : how the pixels are read
     border_um : (above and below, left and right) width of the border that is neither shown nor scored
     out_of_gamut : share of the dots of the ideal image and of the image whose colour the display cannot show; None for grey ones
-    light : what is known of the errors of its light
+    light, light_limit : errors of its light, and what is tolerated of them
+    causes : of its mean ΔE beside the sensor's noise and blur, the largest first
     """
 
     frame: Frame = field(repr=False, kw_only=True)
     readout: Readout = field(repr=False, kw_only=True)
     border_um: tuple[NotNegative, NotNegative] = field(default=(0.0, 0.0), kw_only=True)
     out_of_gamut: tuple[float, float] | None = field(default=None, kw_only=True)
-    light: LightError = field(default=NOTHING_KNOWN, repr=False, kw_only=True)
+    light: LightError = field(default=NOT_MEASURED, repr=False, kw_only=True)
+    light_limit: LightError = field(default=NOT_MEASURED, repr=False, kw_only=True)
+    causes: tuple[Cause, ...] = field(default=(), repr=False, kw_only=True)
 
     @property
     def physics(self) -> PixelPhysics:
@@ -132,20 +181,23 @@ class FrameScore(Score):
         return frame_statistics(self.readout, self.frame) | super().statistics() | self.gamut
 
     def _repr_html_(self) -> str:
-        title = f"{self.physics.pitch_um:g} µm pixels, mean ΔE {self.light.shown(self.mean_delta_e)}"
+        title = f"{self.physics.pitch_um:g} µm pixels, {self._mean_words}"
         given = self.physics.pixel.model_dump(exclude_unset=True, exclude_none=True)
         notes = [
             "One frame of one sensor: how much others differ is told by pixsim.study, whose means have 95 % intervals.",
+            "The errors of a scene's light, by its film and by render noise, are measured by pixsim.run and pixsim.study.",
             f"Pixel: {settings_line(given)}; all else is the default.",
-            *(sentence(str(cause)) for cause in self.light.causes),
-            *(f"Not converged: {reason}." for _, reason in self.light.errors),
-            *([f"Light: {missing}; pixsim run and pixsim.study measure both."] if (missing := self.light.unmeasured) else []),
+            *(sentence(str(cause)) for cause in self.causes),
+            *(sentence(f"{NOT_CONVERGED}: {words}") for _, words in unmet(self.light, self.light_limit)),
         ]
         return cell_of(title, self.plot(), pairs("statistics", self.statistics(), ".6g"), *notes)
 
     def __repr__(self) -> str:
-        words = [f"{self.physics.pitch_um:g} µm pixels, {1e3 * self.frame.integration_s:.3g} ms", self.light.unmeasured]
-        return f"<Score mean ΔE {self.light.shown(self.mean_delta_e)}, {'; '.join(filter(None, words))}>"
+        return f"<Score {self._mean_words}, {self.physics.pitch_um:g} µm pixels, {1e3 * self.frame.integration_s:.3g} ms>"
+
+    @property
+    def _mean_words(self) -> str:
+        return f"mean ΔE {shown_mean(self.mean_delta_e, self.light, self.light_limit, self.causes)}"
 
 
 def frame_statistics(readout: Readout, frame: Frame) -> dict[str, float]:
@@ -158,3 +210,102 @@ def frame_statistics(readout: Readout, frame: Frame) -> dict[str, float]:
         "saturated_fraction": frame.saturated_fraction,
         "mean_electrons_e": float(frame.mean_e.mean()),
     }
+
+
+# --- the errors of its light -----------------------------------------------------------------------------------------------------
+
+
+def noise_error_and_limit(header: Mapping[str, Any]) -> tuple[LightError, LightError]:
+    """Return the error by the noise of a render, and its limit: the tolerance, else what is left of the error at the target.
+
+    The target is a fraction of the sensor's noise, with which the error falls.
+
+    header : of an irradiance; that of a file of another program may hold anything, and then nothing is known
+    """
+    stated = header.get("render_noise")
+    noise = stated if isinstance(stated, Mapping) else {}
+    numbers = (noise.get(name) for name in ("fraction", "target", "delta_e", "tolerance_delta_e"))
+    fraction, target, delta_e, tolerance = (value if isinstance(value, float | int) else None for value in numbers)
+
+    if delta_e is not None and tolerance is not None:
+        return LightError(noise_delta_e=delta_e), LightError(noise_delta_e=tolerance)
+    if fraction is None or target is None:
+        return NOT_MEASURED, NOT_MEASURED
+    if delta_e is None:
+        return LightError(noise_delta_e=math.nan), LightError(noise_delta_e=math.nan if fraction > target else None)
+    limit = delta_e * (target / fraction) if fraction > 0 else math.inf
+    return LightError(noise_delta_e=delta_e), LightError(noise_delta_e=limit)
+
+
+def converged(error: LightError, limit: LightError) -> bool:
+    """Return whether no error is above its limit. An unknown error is above any; one not measured, or without a limit, is not.
+
+    >>> limit = LightError(film_delta_e=0.02)
+    >>> [converged(LightError(film_delta_e=delta_e), limit) for delta_e in (0.01, 0.6, math.nan, None)]
+    [True, False, False, True]
+    """
+    return not unmet(error, limit)
+
+
+def unmet(error: LightError, limit: LightError) -> list[tuple[float, str]]:
+    """Return the errors above their limits, the largest first: ΔE and words; an unknown one is infinite."""
+    above = []
+    for name, words in ERROR_WORDS.items():
+        delta_e, most_delta_e = getattr(error, name), getattr(limit, name)
+        if delta_e is None or most_delta_e is None or delta_e <= most_delta_e:
+            continue
+        size, most = told_apart(delta_e, most_delta_e, 1)
+        size = "unknown" if math.isnan(delta_e) else f"up to {size} ΔE"
+        most = "its limit exceeded" if math.isnan(most_delta_e) else f"{most} tolerated"
+        above.append((math.inf if math.isnan(delta_e) else delta_e, f"{words} is {size}, {most}"))
+    return sorted(above, key=lambda pair: -pair[0])
+
+
+def shown_mean(
+    mean_delta_e: float, error: LightError, limit: LightError, causes: Sequence[Cause] = (), half_delta_e: float = 0.0
+) -> str:
+    """Return `mean_words`, and whether the errors of the light are below their limits.
+
+    >>> shown_mean(0.9731, LightError(), LightError()), shown_mean(0.9731, LightError(0.6), LightError(0.02))
+    ('0.973', '1.0 ± 0.6 (film), not converged')
+    """
+    words = mean_words(mean_delta_e, error, limit, causes, half_delta_e)
+    return words if converged(error, limit) else f"{words}, {NOT_CONVERGED}"
+
+
+def mean_words(
+    mean_delta_e: float, error: LightError, limit: LightError, causes: Sequence[Cause] = (), half_delta_e: float = 0.0
+) -> str:
+    """Return a mean ΔE as text, with the film's error if that is above its limit, and with its largest cause.
+
+    half_delta_e : half of its 95 % interval, of several sensors
+
+    "…" stands for smaller causes, which the lines below a headline name.
+
+    >>> mean_words(0.97312, LightError(), LightError(), half_delta_e=0.0021)
+    '0.9731 ± 0.0021 (95 %)'
+    >>> mean_words(0.9731, LightError(0.6), LightError(0.02), half_delta_e=0.0021)
+    '1.0 ± 0.6 (95 % and film)'
+    >>> few_codes = (Cause("all codes are equal", 100.0, "more bits"),)
+    >>> mean_words(76.54, LightError(3.6), LightError(0.02), few_codes)
+    '76.5 (all codes are equal) ± 3.6 (film)'
+    """
+    is_film_met = converged(replace(error, noise_delta_e=None), limit)
+    film_delta_e = 0.0 if is_film_met or error.film_delta_e is None else error.film_delta_e
+
+    value, uncertainty = f"{mean_delta_e:.3f}", ""
+    if math.isnan(film_delta_e):
+        uncertainty = " ± an unknown error (film)"
+    elif film_delta_e or half_delta_e:
+        value, _, uncertainty = with_error(mean_delta_e, half_delta_e + film_delta_e).partition(" ")
+        parts = ["95 %"] * (half_delta_e > 0) + ["film"] * (film_delta_e > 0)
+        uncertainty = f" {uncertainty} ({' and '.join(parts)})"
+
+    cause = cause_words(causes)
+    is_film_larger = bool(causes) and causes[0].delta_e < film_delta_e
+    return f"{value}{uncertainty}{cause}" if is_film_larger else f"{value}{cause}{uncertainty}"
+
+
+def cause_words(causes: Sequence[Cause]) -> str:
+    """Return the largest of some causes in brackets, the first one; empty without any."""
+    return f" ({causes[0].words}{', …' if len(causes) > 1 else ''})" if causes else ""

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from pixsim.optics.camera import Camera
+from pixsim.studies.film_error import FilmError
 from pixsim.studies.run import RunResult
 from pixsim.studies.table import Table
-from pixsim.viewer.causes import Cause
+from pixsim.viewer.score import Cause
 from pixsim.viewer.setting import Run
 
 FRAME = {"pixels": (8, 8), "integration_s": 0.01, "saturated_fraction": 0.0}
@@ -20,7 +21,7 @@ FRAME = {"pixels": (8, 8), "integration_s": 0.01, "saturated_fraction": 0.0}
 def run_result(
     delta_e: Sequence[float],
     header: dict[str, Any],
-    film: dict[str, Any] | None = None,
+    film: FilmError | None = None,
     causes: Sequence[Cause] = (),
     *,
     settings: dict[str, Any] | None = None,
@@ -31,7 +32,6 @@ def run_result(
 ) -> RunResult:
     """A run of sensors of these mean ΔE, with the errors of its light.
 
-    film : entry of score.json
     settings : tables of `Run`
     known : properties in place of what would be computed
     """
@@ -42,7 +42,7 @@ def run_result(
     physics, border = SimpleNamespace(pitch_um=pitch_um), (border_um, border_um)
     score: Any = SimpleNamespace(frame=SimpleNamespace(**frame), physics=physics, border_um=border, mean_delta_e=delta_e[0])
     noise = SimpleNamespace(fraction=header.get("render_noise", {}).get("fraction", 0.0))
-    rendered: Any = film and SimpleNamespace(film=SimpleNamespace(as_dict=lambda: film), noise=noise)
+    rendered: Any = film and SimpleNamespace(film=film, noise=noise)
     light: Any = SimpleNamespace(header=header)
     chain: Any = SimpleNamespace(rendition=None)
     repeats = np.arange(len(delta_e))

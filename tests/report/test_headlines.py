@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import product
 from types import SimpleNamespace
 from typing import Any
@@ -18,14 +20,14 @@ from pixsim.report.uncertainty import uncertainty_blocks
 from pixsim.report.wording import weighted_answer
 from pixsim.sensor.outside import outside_words
 from pixsim.show.document import Answer, Text, headline, plain_text
+from pixsim.studies.film_error import FilmError, light_error_and_limit
 from pixsim.studies.run import RunResult
 from pixsim.studies.sentences import optimum_line, optimum_parts, run_answers, score_parts
-from pixsim.viewer.causes import Cause
-from pixsim.viewer.light_error import LightError
 from pixsim.viewer.metrics import DELTA_E
+from pixsim.viewer.score import Cause
 
-FILM = {"shape": [256, 256], "tolerated_delta_e": [0.02], "met": False, "limit": "the limit of 4096 samples across for 20 pictures"}
-FILMS = [None, FILM | {"delta_e": 0.6}, FILM | {"delta_e": None}, FILM | {"delta_e": 0.01, "met": True}]
+FILM = FilmError((256, 256), 10.0, (7.5,), (0.6,), (0.02,), "the limit of 4096 samples across for 20 pictures")
+FILMS = [None, FILM, replace(FILM, delta_e=(math.nan,)), replace(FILM, delta_e=(0.01,), limit="")]
 NOISE = {"fraction": 2.4, "target": 0.2, "ended_by": "samples"}
 NOISES = [{}, {"render_noise": NOISE}]
 CAUSES = [  # the longest words of each kind
@@ -56,8 +58,9 @@ def curves() -> Iterator[Any]:
         within = {"within_1_percent_um": (None, None), "within_2_percent_um": (None, None)}
         best = SimpleNamespace(pitch_um=7.5, inside=inside, mean_delta_e=76.5, interval_um=interval, **within)
         other = SimpleNamespace(dots=1024, optimum=best)
+        light, limit = light_error_and_limit(header, film)
         yield SimpleNamespace(
-            label="data sheet", optimum=best, pitch_um=pitch_um, light=LightError.of(header, film, causes), fit_swings=swings,
+            label="data sheet", optimum=best, pitch_um=pitch_um, light=light, light_limit=limit, causes=causes, fit_swings=swings,
             no_difference_um=alike, mean=lambda: np.full(8, 76.5), from_smallest=True, on_displays=[other, other],
             fit=SimpleNamespace(delta_e=np.full(8, 77.0)), judged_by_delta_e=True, fitted_range_um=(0.47, 15.0), developed="",
         )  # fmt: skip

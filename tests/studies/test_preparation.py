@@ -29,7 +29,7 @@ from pixsim.studies.optimum import NO_VISIBLE_DELTA_E, fit_curve
 from pixsim.studies.prepare import BYTES_PER_PIXEL, MAX_FRAME_BYTES, choose_view, fitted_range, prepare
 from pixsim.studies.result import WIDE_RATIO, Curve, StudyResult
 from pixsim.studies.run import prepare as prepare_run
-from pixsim.studies.sentences import optimum_line, optimum_words
+from pixsim.studies.sentences import optimum_line, optimum_words, shown_mean_of
 from pixsim.studies.settings import Study
 from pixsim.studies.sizes import study_pitches_um
 from pixsim.viewer.scene_light import SCENE_CACHE_BYTES
@@ -303,7 +303,7 @@ def test_minimum_of_the_fit_outside_the_sizes_that_look_alike_is_told_as_such() 
     assert not steep.fit.logarithmic, "a steeper curve does not swing"
     assert steep.optimum.pitch_um < 0.99 * low, "else this tests nothing"
     line = optimum_line(steep)
-    least = f"least mean ΔE of the sizes tried {steep.light.shown(0.75)} at 3.40 µm"
+    least = f"least mean ΔE of the sizes tried {shown_mean_of(steep, 0.75)} at 3.40 µm"
     fitted = f"the fitted curve has its minimum outside them, at {steep.optimum.pitch_um:.2f} µm, which more"
     assert f"from {low:.3g} to {high:.3g} µm; {least}; {fitted}" in line
     assert "within 1 %" not in line

@@ -20,7 +20,7 @@ from pixsim.verification import ladder
 from pixsim.verification.case import KnownAnswer
 from pixsim.verification.ladder import Accuracy, Rung
 from pixsim.verification.report import FILES, accuracy_document
-from pixsim.viewer.light_error import LightError
+from pixsim.viewer.score import LightError
 from pixsim.viewer.setting import Run
 
 pytestmark = pytest.mark.filterwarnings("default:::pixsim")  # commands print warnings to stderr

@@ -34,7 +34,7 @@ from pixsim.show.render import text
 from pixsim.studies.sentences import optimum_line, unsure_words
 from pixsim.viewer.causes import causes_of, lightness_range, tells_nothing
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.light_error import NOTHING, Cause, LightError
+from pixsim.viewer.score import NOTHING, Cause, LightError, mean_words, shown_mean, unmet
 
 SCENE = """<scene version="3.0.0">
     <default name="fov" value="38.594975"/><default name="resolution" value="32"/>
@@ -196,7 +196,7 @@ def test_header_of_another_program_states_no_share(found: Any) -> None:
 @pytest.mark.filterwarnings("ignore:.*brighter than display white")
 def test_ideal_image_without_contrast_is_named(picture: float, hint: str) -> None:
     score = pixsim.evaluate(light(picture), CAMERA, Pixel.model_validate(SILICON), display=DISPLAY)
-    (cause,) = score.light.causes
+    (cause,) = score.causes
     low, high = lightness_range(score.ideal)
     assert high - low < 1
     assert repr(score).startswith(f"<Score mean ΔE {score.mean_delta_e:.3f} (the ideal image has no contrast, L* {low:.1f} to")
@@ -214,7 +214,7 @@ def test_lightness_is_that_of_cie_and_of_the_primary_with_most_contrast() -> Non
 
 def test_chart_with_contrast_has_no_cause() -> None:
     score = pixsim.evaluate(light(CHECKS), CAMERA, Pixel.model_validate(SILICON), display=DISPLAY)
-    assert score.light.causes == ()
+    assert score.causes == ()
     assert f"ΔE {score.mean_delta_e:.3f}, 5 µm" in repr(score)
 
 
@@ -309,11 +309,11 @@ def test_adc_that_sees_little_is_the_first_cause(options: dict[str, Any], words:
     pixel, exposure = Pixel.model_validate(SILICON | options), pixsim.Exposure(integration_s=exposure_s)
     outside = outside_header([Spectrum(np.array([400.0, 900.0]), np.ones(2))])
     score = pixsim.evaluate(light(CHECKS, outside), CAMERA, pixel, exposure, DISPLAY)
-    (cause,) = score.light.causes
+    (cause,) = score.causes
     assert words in cause.words
     assert 40 < cause.delta_e <= 100
-    film = replace(score.light, film_delta_e=3.6, film_words="0.02 tolerated")
-    assert film.shown(76.54) == f"76.5 ({cause.words}) ± 3.6 (film), not converged"
+    shown = shown_mean(76.54, LightError(3.6), LightError(0.02), score.causes)
+    assert shown == f"76.5 ({cause.words}) ± 3.6 (film), not converged"
 
 
 def test_signal_below_one_step_is_named_beside_a_bright_white() -> None:
@@ -352,11 +352,12 @@ def test_hint_names_the_setting_that_states_white(header: dict[str, Any], displa
 
 def test_largest_cause_is_named_first() -> None:
     few, left_out = Cause("few codes", 50.0, "more bits"), Cause("light left out", 2.0, "a filter")
-    light = LightError(3.6, film_words="the film's error", causes=(few, left_out))
-    assert light.number(76.5) == "76.5 (few codes, …) ± 3.6 (film)"
-    for noise_delta_e, first in ((0.5, "film"), (2.8, "noise"), (math.nan, "film")):
-        errors = LightError(0.6, noise_delta_e, "film", "noise").errors
-        assert next(words for _, words in errors) == first
+    assert mean_words(76.5, LightError(3.6), LightError(0.02), (few, left_out)) == "76.5 (few codes, …) ± 3.6 (film)"
+    limit = LightError(0.02, 0.01)
+    for noise_delta_e, first in ((0.5, "the film's error is up to 0.6"), (2.8, "the error by render noise is up to 3")):
+        words = [words for _, words in unmet(LightError(0.6, noise_delta_e), limit)]
+        assert words[0].startswith(first)
+        assert len(words) == 2
     outside = outside_header([Spectrum(np.array([400.0, 900.0]), np.ones(2))])
     named = causes_in(outside, Display(), FLAT, 1.0, 0.01, (50.0, 50.0))
     assert [cause.delta_e for cause in named] == sorted((cause.delta_e for cause in named), reverse=True)
@@ -392,7 +393,7 @@ def test_run_names_the_cause_in_its_headline() -> None:
 def test_study_names_the_cause_in_its_headline(tmp_path: Path) -> None:
     result = pixsim.study(tiny(pixel=FEW, pitch={"values_um": [6.0, 7.0, 8.5, 11.0, 15.0]}), tmp_path, jobs=1)
     (curve,) = result.curves
-    (cause,) = curve.light.causes
+    (cause,) = curve.causes
     assert "codes of the ADC between black and" in cause.words
     assert cause.words in optimum_line(curve)
     assert cause.words in result._repr_html_()

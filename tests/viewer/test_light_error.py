@@ -1,4 +1,4 @@
-"""A mean ΔE states the errors of its light wherever it is shown, if they are above their limits."""
+"""A mean ΔE has converged if no error of its light is above its limit, and states them wherever it is shown if not."""
 
 import math
 from dataclasses import replace
@@ -17,11 +17,11 @@ from pixsim.studies.film_error import FilmError
 from pixsim.studies.result import StudyResult
 from pixsim.studies.run import RunResult
 from pixsim.studies.sentences import optimum_line, score_parts, study_light_words, study_unconverged, unconverged
-from pixsim.viewer.light_error import LightError
+from pixsim.viewer.score import LightError, converged, noise_error_and_limit, unmet
 
-NOISY = {"fraction": 2.4, "target": 0.2, "ended_by": "samples"}
+NOISY = {"fraction": 2.4, "target": 0.2, "ended_by": "samples", "delta_e": 0.36}  # of which 0.03 is left at the target
 QUIET = NOISY | {"fraction": 0.2, "ended_by": "target"}  # at its target
-TOLERATED = NOISY | {"tolerance_delta_e": 0.1}  # in ΔE, in place of the target
+TOLERATED = NOISY | {"tolerance_delta_e": 0.1}  # in place of the target
 COARSE = FilmError((64, 64), 10.0, (5.0, 20.0), (0.6, 0.2), (0.02, 0.02), "the limit of 64 samples across for 20 pictures")
 FINE = replace(COARSE, delta_e=(0.02, 0.02), limit="")  # at what is tolerated
 UNKNOWN = replace(COARSE, delta_e=(math.nan, math.nan))
@@ -35,7 +35,39 @@ def study_result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
 def of_run(noise: dict[str, Any] | None, film: FilmError | None, sensors: int = 1, **known: Any) -> RunResult:
     """A run of a mean ΔE of 0.9731."""
     header = {"render_noise": noise} if noise else {}
-    return run_result([0.9731] * sensors, header, film and film.at(5.0).as_dict(), **known)
+    return run_result([0.9731] * sensors, header, film and film.at(5.0), **known)
+
+
+ABOVE = [(0.6, 0.02), (math.nan, 0.02), (math.nan, math.nan)]  # error and limit
+BELOW = [(0.02, 0.02), (0.01, 0.02), (0.6, None), (math.nan, None), (None, 0.02), (0.0, 0.0)]
+
+
+@pytest.mark.parametrize("film", [*ABOVE, *BELOW])
+@pytest.mark.parametrize("noise", [*ABOVE, *BELOW])
+def test_light_has_converged_if_no_error_is_above_its_limit(film, noise):
+    """An unknown error is above any limit; without a measurement or a limit there is nothing to be above."""
+    error, limit = (LightError(of_film, of_noise) for of_film, of_noise in zip(film, noise, strict=True))
+    is_above = [pair in ABOVE for pair in (film, noise)]
+    assert converged(error, limit) == (not any(is_above))
+    assert len(unmet(error, limit)) == sum(is_above)
+
+
+@pytest.mark.parametrize("fraction", [0.05, 0.2, 0.2 * (1 + 1e-9), 2.4])
+@pytest.mark.parametrize("delta_e", [1e-4, 0.36, None])
+def test_noise_is_above_its_limit_if_its_fraction_is_above_the_target(fraction, delta_e):
+    """Also where its ΔE is unknown. The limit in ΔE is what is left of the error with as much less noise."""
+    error, limit = noise_error_and_limit({"render_noise": {"fraction": fraction, "target": 0.2, "delta_e": delta_e}})
+    assert converged(error, limit) == (fraction <= 0.2)
+    if delta_e is not None:
+        assert error.noise_delta_e == delta_e
+        assert limit.noise_delta_e == pytest.approx(delta_e * 0.2 / fraction, rel=1e-12)
+
+
+def test_noise_without_samples_has_converged():
+    """The light of a chart is computed."""
+    error, limit = noise_error_and_limit({"render_noise": {"fraction": 0.0, "target": 0.2, "delta_e": 0.0}})
+    assert error == LightError(noise_delta_e=0.0)
+    assert converged(error, limit)
 
 
 @pytest.mark.parametrize(
@@ -43,18 +75,19 @@ def of_run(noise: dict[str, Any] | None, film: FilmError | None, sensors: int = 
     [
         (QUIET, FINE, "0.973", []),
         (None, None, "0.973", []),  # of another program's light nothing is known
-        (NOISY, FINE, "0.973, not converged", ["render noise is 2.4 of the sensor's noise, target 0.2"]),
+        (NOISY, FINE, "0.973, not converged", ["the error by render noise is up to 0.4 ΔE, 0.03 tolerated"]),
+        (NOISY | {"delta_e": None}, FINE, "0.973, not converged", ["the error by render noise is unknown, its limit exceeded"]),
         (QUIET, COARSE, "1.0 ± 0.6 (film), not converged", ["the film's error is up to 0.6 ΔE, 0.02 tolerated"]),
         (QUIET, UNKNOWN, "0.973 ± an unknown error (film), not converged", ["the film's error is unknown, 0.02 tolerated"]),
-        (NOISY, COARSE, "1.0 ± 0.6 (film), not converged", ["up to 0.6 ΔE", "2.4 of the sensor's"]),
-        (TOLERATED | {"delta_e": 0.2}, FINE, "0.973, not converged", ["render noise makes up to 0.2 ΔE, 0.1 tolerated"]),
+        (NOISY, COARSE, "1.0 ± 0.6 (film), not converged", ["up to 0.6 ΔE", "up to 0.4 ΔE"]),
+        (TOLERATED | {"delta_e": 0.2}, FINE, "0.973, not converged", ["the error by render noise is up to 0.2 ΔE, 0.1 tolerated"]),
         (TOLERATED | {"delta_e": 0.1}, FINE, "0.973", []),
     ],
 )
 def test_mean_of_a_run_is_as_sure_as_it_looks(noise, film, shown, reasons):
     result = of_run(noise, film)
     assert result.shown_mean == shown
-    lines = unconverged(result.irradiance.header, result.film)
+    lines = unconverged(result.irradiance.header, result.rendered and result.rendered.film)
     assert len(lines) == bool(reasons)
     assert all(reason in line for line in lines for reason in reasons)
     assert plain_text(score_parts(result)[0]).startswith(f"mean ΔE {shown}{',' * bool(reasons)} with 8 × 8 pixels")
@@ -68,6 +101,8 @@ def test_mean_of_a_run_is_as_sure_as_it_looks(noise, film, shown, reasons):
         (NOISY | {"ended_by": "max_seconds"}, "", ["a longer --max-seconds (about 140 times"], ["9000"]),
         (QUIET, "set by --resolution", ["leaving out --resolution"], ["--max-seconds"]),
         (QUIET, "as --max-seconds allows", ["a longer --max-seconds"], ["--resolution", "times"]),
+        (NOISY | {"delta_e": None}, "", ["--max-seconds 8000 (about 140 times"], ["--resolution"]),
+        (TOLERATED, "", ["--max-seconds 800 (about 13 times"], ["--resolution"]),  # (0.36/0.1)²
         (QUIET | {"fraction": 2.4, "target": 3.0}, "", ["a lower --render-noise, or"], ["--max-seconds"]),
         # the film's error does not fall with noise alone, nor the noise with the film
         (NOISY, "set by --resolution", ["leaving out --resolution and --max-seconds 8000 (about 140 times", "), or a"], []),
@@ -77,7 +112,7 @@ def test_mean_of_a_run_is_as_sure_as_it_looks(noise, film, shown, reasons):
 def test_unconverged_result_says_what_makes_it_surer(noise, limit, means, others):
     result = of_run(noise, replace(COARSE, limit=limit))
     with command_line():
-        (line,) = unconverged(result.irradiance.header, result.film)
+        (line,) = unconverged(result.irradiance.header, result.rendered.film)
     assert all(words in line for words in [*means, "(--window, in mm)"])
     assert not any(words in line for words in others)
 
@@ -90,27 +125,21 @@ def test_picture_of_a_render_is_not_made_surer_by_options():
 
 @pytest.mark.parametrize("found", ["loud", 1.0, [], {}, {"fraction": "a lot", "target": 0.2}, {"fraction": 3.0}])
 def test_header_of_another_program_may_hold_anything(found):
-    light = LightError.of({"render_noise": found})
-    assert (light.noise_delta_e, light.converged, light.unmeasured) == (None, True, "")
+    light, limit = noise_error_and_limit({"render_noise": found})
+    assert light.noise_delta_e is None
+    assert converged(light, limit)
 
 
 @pytest.mark.parametrize(
-    ("header", "words"),
-    [
-        ({"render_noise": NOISY, "scene_hash": "a"}, ", not converged, 84.8 µm"),
-        ({"scene_hash": "a"}, "; the film's error and render noise not measured>"),
-        ({"render_noise": QUIET, "scene_hash": "a"}, "; the film's error not measured>"),
-        ({}, " ms>"),
-    ],
+    ("header", "words"), [({"render_noise": NOISY}, ", not converged, 84.8 µm"), ({"render_noise": QUIET}, " ms>"), ({}, " ms>")]
 )
-def test_score_of_a_picture_says_what_is_known_of_its_light(header, words):
+def test_score_of_a_picture_says_whether_its_light_has_converged(header, words):
     image = pixsim.SpectralImage([550.0], 10.0, 84.8, data=np.full((32, 32, 1), 1e-3), header={"diffraction": False, **header})
     pixel = pixsim.Pixel(pitch_um=84.8, prnu=0, infrared_cut_nm=700)
     score = pixsim.evaluate(image, pixsim.Camera(), pixel, display=pixsim.Display(white_cd_per_m2=1000, dots=32))
     assert words in repr(score)
     cell = score._repr_html_()
-    assert ("Not converged: render noise is 2.4" in cell) == ("not converged" in words)
-    assert ("pixsim.study measure" in cell) == ("not measured" in repr(score))
+    assert ("Not converged: the error by render noise is up to 0.4 ΔE, 0.03 tolerated." in cell) == ("not converged" in words)
 
 
 def test_study_shows_the_errors_of_its_light(study_result: StudyResult):
