@@ -4,7 +4,8 @@
 * Detail as wide as a sample escapes them: none of the samples cuts through it. So there are finer films, too, of one and a half
   times and of twice the samples across, for detail and pixels may be in step with one of them. They show a chart as it is. Of
   other pictures they show an edge within each old sample, the sharpest that it and its neighbours may hide.
-* A film with less than one sample for each dot counts what it may miss.
+* A film with hardly a sample for each dot, or less, aliases what it has no samples for. No finer film that is made from its picture
+  can show that, other than of a chart. The change from a film of half the samples does: it counts the more, the fewer a dot has.
 
 All films have the noise of one frame, so that their mean ΔE differ by the film alone. Of a large picture 16 parts are measured,
 spread evenly over it, and smaller ones on the finer films. The scatter of a change on finer films over the parts shows how much of
@@ -55,7 +56,8 @@ MOST_FINER = 4 * MEASURED_FINER  # cells, where pixels or dots are so large that
 SPREAD_STEPS = (1, 3, PARTS + 1)  # from part to part: all, six, and those of the diagonal
 STANDARD_ERRORS = 3.0  # by which the mean over parts may differ from that of the picture
 MIN_ORDER, MAX_ORDER = 1.0, 2.0  # of convergence of cell means: at edges, and where the picture is smooth
-NEAR, FAR, ROUGH = 0.2, 0.06, 2.5  # of the changes on the coarser films, and of the larger change on the finer films
+NEAR, FAR, ROUGH = 0.2, 0.06, 2.5  # of the changes on the coarser films, at least, and of the larger change on the finer films
+ALIASED = 1.5  # of the nearer change, over the square of the samples across a dot: where these are less than 2.7
 UNSEEN = 0.2  # of mean ΔE, for each sample that a dot lacks, over those that it has
 TOLERATED_DELTA_E, TOLERATED_SHARE = 0.01, 0.02  # of mean ΔE
 MOST_SAMPLES = max(repeated / averaged for repeated, averaged in FINER)
@@ -69,20 +71,26 @@ def samples_per_dot(width: int, imaging: Imaging, chart: Chart | None) -> float:
     return width / min(dots_across(camera, display, pitch_um), details)
 
 
-def film_error(near: float, far: float, mean_delta_e: float = 0.0, per_dot: float = math.inf, finer: float = 0.0) -> float:
+def film_error(
+    near: float, far: float, mean_delta_e: float = 0.0, per_dot: float = math.inf, finer: float = 0.0, *, is_chart: bool = False
+) -> float:
     """Return an upper limit of a film's error from its own picture.
 
     It is the largest of the change on the finer films with a factor, and of parts of the changes on the coarser ones, as each may
-    be small by chance. A film with less than one sample for each dot misses detail that its picture cannot show, so a part of mean
-    ΔE is added. The numbers are fitted to pictures with edges and textures, and others judge them
-    (`tests/studies/test_film_error.py`).
+    be small by chance. With less than about two samples for each dot the film may alias, so that its finer films show too little:
+    the nearer change then counts `ALIASED` times for each dot that a sample covers. In a picture whose detail goes on to a dot's
+    size, such as a zone plate, the changes grow like that from film to film. With less than one sample for each dot detail may be
+    gone altogether, so a part of mean ΔE is added. The numbers are fitted to pictures with edges and textures, and others judge
+    them (`tests/studies/test_film_error.py`).
 
     near, far : changes of mean ΔE (or another result) with half of the samples across, and from there to a quarter
     per_dot : samples across a dot, of `samples_per_dot`
     finer : the largest change with more samples across, of the films `FINER`
+    is_chart : whether these show what the film's samples hide, as of a chart that is known
     """
+    of_near = NEAR if is_chart else max(NEAR, ALIASED / per_dot**2)
     unseen_delta_e = UNSEEN * max(1 / per_dot - 1, 0.0) * mean_delta_e
-    return max(NEAR * near, FAR * far, ROUGH * finer) + unseen_delta_e
+    return max(of_near * near, FAR * far, ROUGH * finer) + unseen_delta_e
 
 
 def step_size(fine: Array, coarse: Array) -> float:
@@ -204,6 +212,11 @@ def _times(side: slice, factor: int) -> slice:
     return slice(side.start * factor, side.stop * factor)
 
 
+def shown_chart(image: SpectralImage, chart: Chart | None) -> Chart | None:
+    """Return a chart if its means over finer samples of a film are known; else None."""
+    return chart if chart is not None and chart.beyond is not None and chart.shape == image.shape else None
+
+
 def finer_parts(image: SpectralImage, pitch_um: float, display: Display, chart: Chart | None) -> list[PicturePart]:
     """Return the parts of a picture that are measured on the films `FINER`.
 
@@ -211,11 +224,11 @@ def finer_parts(image: SpectralImage, pitch_um: float, display: Display, chart: 
 
     chart : that the picture shows, if nothing else
     """
-    known = chart if chart is not None and chart.beyond is not None and chart.shape == image.shape else None
+    shown = shown_chart(image, chart)
     (height, width), places = image.shape, measured_places(image, pitch_um, display, MEASURED_FINER)
     whole = [(slice(0, height // BLOCK * BLOCK), slice(0, width // BLOCK * BLOCK))]
     parts = [
-        PicturePart(image.with_planes(image.planes[:, rows, columns]), display_of(display, columns, width), (rows, columns), known)
+        PicturePart(image.with_planes(image.planes[:, rows, columns]), display_of(display, columns, width), (rows, columns), shown)
         for rows, columns in places or whole
     ]
     for step in SPREAD_STEPS:
@@ -408,30 +421,32 @@ class FilmSteps:
     finer_delta_e : (films, parts) of other parts, the film itself first, and then `FINER` ones; no films if they would be too large
     per_dot : samples across a dot, of `samples_per_dot`
     blur_error : of the contrast behind a real lens (`Tiling.error`), whose parts have another blur than the picture; or 0
+    is_chart : whether the finer films are those of a chart (`shown_chart`)
     """
 
     delta_e: Array
     finer_delta_e: Array
     per_dot: float
     blur_error: float = 0.0
+    is_chart: bool = False
 
     @classmethod
     def from_dict(cls, known: dict[str, Any]) -> FilmSteps:
         """Return the steps of `as_dict`."""
         delta_e, finer_delta_e = np.array(known["delta_e"], float), np.array(known["finer_delta_e"], float)
-        return cls(delta_e, finer_delta_e, known["per_dot"], known["blur_error"])
+        return cls(delta_e, finer_delta_e, known["per_dot"], known["blur_error"], known["is_chart"])
 
     def as_dict(self) -> dict[str, Any]:
         """Return the steps for JSON."""
         arrays = {"delta_e": self.delta_e.tolist(), "finer_delta_e": self.finer_delta_e.tolist()}
-        return arrays | {"per_dot": self.per_dot, "blur_error": self.blur_error}
+        return arrays | {"per_dot": self.per_dot, "blur_error": self.blur_error, "is_chart": self.is_chart}
 
     def error(self) -> tuple[float, float]:
         """Return mean ΔE and its error by the film; NaN if the film is too small to tell."""
         if not self.delta_e.size:
             return math.nan, math.nan
         mean = float(self.delta_e[0].mean())
-        return mean, _error_of(self.delta_e, self.finer_delta_e, mean, self.per_dot) + BLUR_ERROR * self.blur_error * mean
+        return mean, self._error_of(self.delta_e, self.finer_delta_e, mean, self.per_dot) + BLUR_ERROR * self.blur_error * mean
 
     def error_of_difference(self, other: FilmSteps) -> float:
         """Return the error of the difference to another sensor's mean ΔE, with the same parts of the same film; NaN if unknown.
@@ -446,14 +461,13 @@ class FilmSteps:
         (mean, _), (other_mean, _) = self.error(), other.error()
         steps, finer_steps = (others - own for own, others in pairs)
         blur_delta_e = BLUR_ERROR * max(self.blur_error, other.blur_error) * abs(other_mean - mean)
-        return _error_of(steps, finer_steps, max(mean, other_mean), min(self.per_dot, other.per_dot)) + blur_delta_e
+        return self._error_of(steps, finer_steps, max(mean, other_mean), min(self.per_dot, other.per_dot)) + blur_delta_e
 
-
-def _error_of(delta_e: Array, finer_delta_e: Array, mean_delta_e: float, per_dot: float) -> float:
-    """Return `film_error` of the changes from film to film, (films, parts), as of `FilmSteps`."""
-    near, far = np.abs(np.diff(delta_e.mean(axis=1))).tolist()
-    finest = max((step_size(finer_delta_e[0], fine) for fine in finer_delta_e[1:]), default=0.0)
-    return film_error(near, far, mean_delta_e, per_dot, finest)
+    def _error_of(self, delta_e: Array, finer_delta_e: Array, mean_delta_e: float, per_dot: float) -> float:
+        """Return `film_error` of the changes from film to film, (films, parts)."""
+        near, far = np.abs(np.diff(delta_e.mean(axis=1))).tolist()
+        finest = max((step_size(finer_delta_e[0], fine) for fine in finer_delta_e[1:]), default=0.0)
+        return film_error(near, far, mean_delta_e, per_dot, finest, is_chart=self.is_chart)
 
 
 def kept_steps(
@@ -503,8 +517,9 @@ def film_steps(
     image = with_veil_of_whole(image, imaging.camera)
     parts = list(parts_of(image, size_um, display))
     per_dot = samples_per_dot(image.shape[1], imaging, chart)
+    is_chart = shown_chart(image, chart) is not None
     if min(parts[0][0].shape) < BLOCK * MIN_PART_CELLS:
-        return FilmSteps(np.empty(0), np.empty(0), per_dot)
+        return FilmSteps(np.empty(0), np.empty(0), per_dot, is_chart=is_chart)
     lens = BehindLens.of(image, imaging)
     films = [parts]
     for _ in range(int(math.log2(BLOCK))):
@@ -516,7 +531,7 @@ def film_steps(
         lights = lens.of_films(places, len(films), share_of(progress, 0.0, blurred))
     delta_e = delta_e_on_films(films, lights, imaging, share_of(progress, blurred, scored))
     finer = _finer_delta_e(finer_parts(image, size_um, display, chart), lens, imaging, share_of(progress, scored, 1.0))
-    return FilmSteps(delta_e, finer, per_dot, lens.tiling.error if lens else 0.0)
+    return FilmSteps(delta_e, finer, per_dot, lens.tiling.error if lens else 0.0, is_chart)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from helpers.chains import imaging as imaging_record
 from helpers.film_judges import Picture, delta_e_of, other_sensor, pictures
-from helpers.film_pictures import CAMERA, JUDGES, PIXEL, SCENES, SET_CELLS, WIDTH, cells, light
+from helpers.film_pictures import CAMERA, JUDGES, PIXEL, SCENES, SET_CELLS, WIDTH, cells, covered, light
 
 from pixsim.base.errors import PixsimError
 from pixsim.light.spectral import SpectralImage
@@ -70,12 +70,15 @@ def missed(cases: dict[str, tuple[float, float]], usual: float) -> dict[str, tup
 @pytest.mark.longest
 @pytest.mark.slow
 def test_stated_error_holds_for_pictures_that_set_it() -> None:
-    """Ten scenes on films of 256, 512 and 1024, and textures. On one sample a dot or less, five films are missed."""
+    """Ten scenes on films of 256, 512 and 1024, and textures.
+
+    One is missed: of the cloth, a film of half a sample a dot shows almost nothing of threads as wide as a dot.
+    """
     cases, widths = {}, (256, 512, 1024)
     for scene in SCENES:
         found = stated_and_true(light(scene()), [WIDTH // width for width in widths], CAMERA, PIXEL, Display(dots=512))
         cases |= {f"{scene.__name__}, {width}": case for width, case in zip(widths, found, strict=True)}
-    assert len(missed(cases, 20.0)) <= 5
+    assert len(missed(cases, 20.0)) <= 1
     textures = {
         f"{across} cells, {film}": stated_and_true(
             light(cells(across, film * times, (0.1, 0.9), seed)), [times], CAMERA, PIXEL, Display(dots=512)
@@ -111,6 +114,19 @@ def test_stated_error_holds_where_cells_are_in_step_with_samples(across: int) ->
     assert true < stated < 20 * true
 
 
+@pytest.mark.parametrize("times", [8, 16])
+def test_stated_error_holds_for_a_zone_plate_on_one_sample_a_dot_and_on_half_of_one(times: int) -> None:
+    """Its rings go on beyond the width of a dot, and the film aliases them: what is made finer of it shows too little."""
+    rings = covered(lambda x, y: 0.5 + 0.45 * np.cos(225 * math.pi * ((x - 0.5) ** 2 + (y - 0.5) ** 2)), 2, 1024)
+    fine, pixel, display = light(rings), PIXEL.model_copy(update={"pitch_um": 12.5}), Display(dots=128)
+    ((stated, true),) = stated_and_true(fine, [times], CAMERA, pixel, display)
+    assert true < stated < 5 * true
+
+    imaging = imaging_record(CAMERA, pixel, Exposure(), display)
+    on_films = film_steps(coarser(fine, times), imaging, None).finer_delta_e.mean(axis=1)
+    assert film_error(0.0, 0.0, finer=float(np.abs(on_films[1:] - on_films[0]).max())) < 0.5 * true
+
+
 GATE = 38  # of 40
 CLEAR = 5e-3  # ΔE, from which a true error tells a limit that is too wide
 
@@ -120,7 +136,7 @@ CLEAR = 5e-3  # ΔE, from which a true error tells a limit that is too wide
 def test_stated_error_holds_for_38_of_40_grey_and_coloured_pictures() -> None:
     """Zone plates, wires, natural pictures, edges, also behind a real lens, and cells of .7 to 3 samples; and their differences.
 
-    It is at most five times the true error in 18 of the 32 pictures that have a clear one. Of an error of random sign a limit that
+    It is at most five times the true error in 17 of the 32 pictures that have a clear one. Of an error of random sign a limit that
     holds in 95 % is more than five times as large in 30 % of pictures, even if its standard deviation is known.
     """
     errors = [judged(picture) for picture in pictures()]
@@ -150,8 +166,12 @@ def test_film_error_limits() -> None:
     assert film_error(0.01, 0.005) == pytest.approx(0.002)  # at second order 1/3 is left, at third order 1/7
     assert film_error(0.0, 0.1) == pytest.approx(0.006)  # a last step that is small by chance
     assert film_error(0.01, 0.005, finer=0.1) == pytest.approx(0.25)  # all coarser films are alike by chance
+    assert film_error(0.01, 0.005, per_dot=3.0) == film_error(0.01, 0.005)  # 2.7 samples a dot, or more
+    assert film_error(0.01, 0.005, per_dot=1.0) == pytest.approx(0.015)  # a sample may hide as much again
+    assert film_error(0.01, 0.005, per_dot=0.5) == pytest.approx(0.06)
+    assert film_error(0.01, 0.005, per_dot=0.5, is_chart=True) == film_error(0.01, 0.005)  # its finer films do not alias
     assert film_error(0.0, 0.0, 2.0, per_dot=1.0) == 0
-    assert film_error(0.0, 0.0, 2.0, per_dot=0.5) == pytest.approx(0.2 * 2.0)
+    assert film_error(0.0, 0.0, 2.0, per_dot=0.5) == pytest.approx(0.2 * 2.0)  # all detail is gone
 
 
 # --- Finer films ---
