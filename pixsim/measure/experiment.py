@@ -20,13 +20,13 @@ from pixsim.base.notes import warn
 from pixsim.measure.estimators import Frames, PairSeries, pair, series
 from pixsim.sensor.collection import collected_fraction, even_light
 from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.infrared import pixel_notes
 from pixsim.sensor.photodiode import stored_signal_e
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import MAX_BLACK, Sensor, dark_spread_e, least_black_level_dn, read_out, sample_sensor
 from pixsim.sensor.technology import load_technology
-from pixsim.sensor.unit_slips import unit_slips
 
 SHAPE = 200, 200  # pixels: standard errors of 0.7 % for a variance and 0.2 % for a fitted slope
 LEAST_SIDE = 3  # pixels, whose variance divides into that of rows, of columns and of single pixels
@@ -251,10 +251,11 @@ def make_experiment(
     """
     if min(shape) < LEAST_SIDE:
         raise invalid("shape", f"{shape[0]} × {shape[1]} pixels", f"at least {LEAST_SIDE} × {LEAST_SIDE}")
-    for note in unit_slips(pixel):
+    derived = derive(pixel, load_technology(pixel.technology))
+    for note in pixel_notes(derived):
         warn(note)
     exposure = exposure or Exposure()
-    physics = most_frequent_channel(derive(pixel, load_technology(pixel.technology)))
+    physics = most_frequent_channel(derived)
     stated = replace(Readout.of(physics), gain_db=exposure.gain_db)
     time_s = usual_integration_s(stated, exposure)
     readout = with_black_level(stated, time_s)

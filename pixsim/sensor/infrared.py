@@ -1,4 +1,4 @@
-"""What a user should know of the light that a pixel sees: out of focus, beyond a table or infrared, and of its channels' scale."""
+"""What a user should know of a pixel and of the light that it sees: units, focus, light beyond a table or infrared, scales."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from pixsim.sensor.colour_options import efficiencies_of
 from pixsim.sensor.integration import electrons_per_joule
 from pixsim.sensor.outside import CENTRES_NM, EDGES_NM, OUTSIDE, SHOWN_SHARE
 from pixsim.sensor.pixel import PixelPhysics
+from pixsim.sensor.unit_slips import unit_slips
 
 BLURRED_PIXELS = 2.0  # disc of a point in pixels, of which a note tells
 INFRARED_NM = 700.0  # beyond, a channel of a colour sensor sees nothing that the eye does
@@ -27,9 +28,16 @@ FLAT_CHANGE = 0.25  # of the electrons, by the curve of silicon in place of one 
 INFRARED_SHARE = 0.05  # of a channel's signal, of which a note tells
 
 
-def light_notes(physics: PixelPhysics, camera: Camera, irradiance: SpectralImage) -> list[str]:
-    """Return notes on a scene out of focus, on light for which a pixel's model does not hold, and on what its colours hide."""
-    notes = stack_notes(physics, camera, irradiance.wavelength_nm)
+def pixel_notes(physics: PixelPhysics, camera: Camera | None = None, irradiance: SpectralImage | None = None) -> list[str]:
+    """Return notes on a pixel's numbers, which may be in another unit, and on what its model leaves out of its light.
+
+    camera, irradiance : the light on the sensor and the camera in front of it; None: it is not known yet
+    """
+    notes = unit_slips(physics.pixel)
+    if camera is None or irradiance is None:
+        return notes
+
+    notes += stack_notes(physics, camera, irradiance.wavelength_nm)
     sensitivities = physics.pixel.colour.sensitivities if physics.pixel.colour else None
     if isinstance(sensitivities, str) and not has_common_scale(sensitivities):
         notes.append(

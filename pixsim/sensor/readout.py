@@ -18,6 +18,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.infrared import pixel_notes
 from pixsim.sensor.integration import (
     array_signal,
     array_size_um,
@@ -37,7 +38,6 @@ from pixsim.sensor.quantities import MAX_CODE_BITS, Aspect, FrameBits, GainDb, P
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.stages import gains_of_rows, moving_in
 from pixsim.sensor.technology import load_technology
-from pixsim.sensor.unit_slips import unit_slips
 
 # Far above this mean the variance of NumPy's Poisson is wrong (+3.5 % at 1e15); a rounded normal lacks only the skewness
 # 1/√mean, 3e-5 and less.
@@ -165,10 +165,11 @@ def make_sensor(pixel: Pixel, camera: Camera, seed: Whole = 0, *, aspect: Aspect
     >>> make_sensor(Pixel(pitch_um=5.3), Camera(die_mm=2.7136)).shape  # the die of Chen et al. (2000)
     (512, 512)
     """
-    for note in unit_slips(pixel):
+    physics = derive(pixel, load_technology(pixel.technology))
+    for note in pixel_notes(physics):
         warn(note)
     aspect = camera.die_mm / camera.height_mm if aspect is None else aspect
-    physics, width_um = derive(pixel, load_technology(pixel.technology)), camera.die_um[1]
+    width_um = camera.die_um[1]
     shape = pixels_on((width_um / aspect, width_um), physics.read_pitch_um, physics.registration)
     check_pixel_count(shape, pixel.pitch_um)
     return sample_sensor(Readout.of(physics), (shape[0] * physics.planes, shape[1]), np.random.default_rng(seed))

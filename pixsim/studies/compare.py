@@ -23,11 +23,9 @@ from pixsim.base.layers import listed, plain_tables
 from pixsim.base.notes import collected_notes, warn, without_warnings
 from pixsim.base.progress import Progress, Stage, no_stage
 from pixsim.scene.plan import Plan
-from pixsim.sensor.infrared import light_notes
 from pixsim.sensor.pixel_options import BORDER_PIXELS
-from pixsim.sensor.unit_slips import unit_slips
 from pixsim.studies.comparison import ComparedSensor, Comparison
-from pixsim.studies.design import Case, named
+from pixsim.studies.design import Case, named, warn_of_reviews
 from pixsim.studies.drawn_types import TYPES_FILE, PairUncertainty, Types, sample_of
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluate import LitCase, check_ideals, evaluate_points, lit_cases
@@ -178,13 +176,10 @@ def _check(groups: Sequence[SensorGroup], lit: Sequence[LitCase]) -> None:
         for one in members:
             imaging, image = one.imaging, one.scenes.irradiance
             with named(one.case.sensor):
-                for note in unit_slips(imaging.pixel):
-                    warn(f"{one.case.sensor}: {note}")
                 prepared = one.light()
                 assert isinstance(prepared, PreparedScene)
                 warn_of_clipping(prepared.beyond_white, image.header, imaging.display)
-                for note in light_notes(imaging.physics, one.case.camera, image):
-                    warn(note)
+    warn_of_reviews((one.case.sensor, one.case, one.scenes.light) for one in lit)
 
 
 def render_groups(job: ComparisonJob, stage: Stage) -> tuple[list[SensorGroup], list[tuple[Light, Plan]]]:

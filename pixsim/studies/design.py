@@ -7,7 +7,7 @@ case. In a comparison each sensor is a case, under each condition. A job is case
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import product
@@ -26,12 +26,14 @@ from pixsim.studies.settings import Study
 from pixsim.studies.sizes import technology_of
 from pixsim.studies.table import Label
 from pixsim.viewer.merging import merge
+from pixsim.viewer.review import warn_of_review
 from pixsim.viewer.setting import Setting
 
 if TYPE_CHECKING:
     from pixsim.scene.scene import Scene
     from pixsim.viewer.display_options import Display
     from pixsim.viewer.imaging import Imaging
+    from pixsim.viewer.scene_light import SceneLight
 
 BASE = "base"  # the value of an axis where the study's own settings hold
 
@@ -160,6 +162,18 @@ def named(part: str) -> Iterator[None]:
         yield
     except PixsimError as error:
         raise PixsimError(f"{part}: {error}" if part else str(error)) from None
+
+
+def warn_of_reviews(cases: Iterable[tuple[str, Case[Any], SceneLight | None]]) -> None:
+    """Warn of what a review says of the sensors of some cases: of their smallest pixels, which exceed a model's limits most.
+
+    cases : the sensor's name in messages, the case, and its light; None before that is rendered
+    """
+    sensors: dict[str, list[tuple[Imaging, SceneLight | None]]] = {}
+    for name, case, light in cases:
+        assert case.imaging is not None
+        sensors.setdefault(name, []).append((case.imaging.at(min(case.sizes)), light))
+    warn_of_review(sensors)
 
 
 def case_words(at: Mapping[str, float | int | str], condition: str, alone: str) -> str:

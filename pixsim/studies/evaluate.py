@@ -18,11 +18,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pixsim.base import cache
-from pixsim.base.notes import warn
 from pixsim.base.progress import Progress
 from pixsim.base.records import content_hash
 from pixsim.sensor.colour import Layout
-from pixsim.sensor.infrared import light_notes
 from pixsim.sensor.integration import electrons_per_joule, pixels_on
 from pixsim.sensor.labels import label_in
 from pixsim.sensor.readout import Frame, Sensor, lasting, make_frame
@@ -142,12 +140,6 @@ def check_ideals(cases: Sequence[LitCase]) -> None:
             for lit in coloured.values()
         }
         check_one_ideal(grey, ideals)
-
-
-def warn_of_stacks(lit: LitCase, smallest_um: float) -> None:
-    """Warn of the limits of a case's stack, for its smallest pixels, which exceed them most."""
-    for note in light_notes(lit.imaging.at(smallest_um).physics, lit.imaging.camera, lit.scenes.irradiance):
-        warn(note)
 
 
 # --- tasks of workers -------------------------------------------------------------------------------------------------------------

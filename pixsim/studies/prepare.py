@@ -36,9 +36,8 @@ from pixsim.sensor.pixel_options import PixelOptions
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.spread import Uncertainty
 from pixsim.sensor.technology import check_name
-from pixsim.sensor.unit_slips import unit_slips
 from pixsim.studies.axes import paths_of
-from pixsim.studies.design import BASE, Case, Job, cases_of, named, with_range_ends
+from pixsim.studies.design import BASE, Case, Job, cases_of, named, warn_of_reviews, with_range_ends
 from pixsim.studies.keys import frames_fit_in_cache, point_count
 from pixsim.studies.settings import PitchRange, Study
 from pixsim.studies.sizes import (
@@ -59,7 +58,6 @@ from pixsim.viewer.display import dot_edges_um
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.metric_options import has_target
 from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, MetricContext, columns_of_metrics
-from pixsim.viewer.review import background_notes
 from pixsim.viewer.scene_light import check_background
 from pixsim.viewer.screen import allows_single
 from pixsim.viewer.setting import Run, Setting
@@ -297,8 +295,6 @@ def check_pitches(study: Study) -> None:
                 physics_of(study, technology, pitch_um, process)
             raise
         Readout.of(smallest, study.exposure)  # raises for a burst whose sum has too many bits
-        for note in unit_slips(smallest.pixel):
-            warn(note)
     first = sum(sum(sensors.values()) for sensors in first_sampling(study).values())
     if study.max_evaluations is not None and study.max_evaluations < first:
         expected = f"at least {first}, with which the study starts"
@@ -444,6 +440,7 @@ def prepare(
         for combination, display in zip(found, asked_displays, strict=True)
         for case in cases_of_sensors(combination)
     )
+    warn_of_reviews((label_of(case.sensor), case, None) for case in sensors)
     return StudyJob(asked=asked, base=base, source=scene, view=view, cases=sensors, variant=variant)
 
 
@@ -540,8 +537,6 @@ def check_metrics(
                 without, _ = read_with_camera(stated, settings.camera, units, settings.lens)
         elif without is not None and "without" in settings.metric.detectability.model_fields_set:
             warn(f"{name} is not used: the light without the target is given beside the light")
-        for note in background_notes(request.names, without):
-            warn(note)
         if without is not None:
             check_background(without, source)
         has_without = without is not None

@@ -29,7 +29,7 @@ from pixsim.sensor.pixel_options import BORDER_PIXELS, NO_TECHNOLOGY
 from pixsim.sensor.spread import sheet_uncertainty
 from pixsim.sensor.technology import check_name, load_technology
 from pixsim.studies.axes import NOT_SETTINGS, paths_of
-from pixsim.studies.design import Case, Job, cases_of, combinations, named, values_at, with_range_ends
+from pixsim.studies.design import Case, Job, cases_of, combinations, named, values_at, warn_of_reviews, with_range_ends
 from pixsim.studies.drawn_types import Types, asked_of
 from pixsim.studies.files import checked_study, study_of
 from pixsim.studies.lights import LightRequest, light_request
@@ -567,6 +567,7 @@ def prepare(
     if asked is None:
         warn_of_uncertainty(sources)
     every_group = tuple(_labelled([*groups, *further, *pairs], repeats))
+    warn_of_reviews((case.sensor, case, None) for group in every_group for case in group.cases)
     return ComparisonJob(
         cases=tuple(case for group in every_group for case in group.cases),
         view=groups[0].view,

@@ -23,11 +23,12 @@ from pixsim.light.spectral import DIGEST, SpectralImage
 from pixsim.light.stored import PictureFile
 from pixsim.optics.camera import Camera
 from pixsim.scene.packaged import packaged_scenes
+from pixsim.sensor.labels import label_of
 from pixsim.show.sentences import few
 from pixsim.studies.cost import jobs_in_memory, largest_frame_bytes
-from pixsim.studies.design import Case, check_number
+from pixsim.studies.design import Case, check_number, warn_of_reviews
 from pixsim.studies.engine import Workers, workers_for
-from pixsim.studies.evaluate import Counts, LitCase, check_ideals, evaluate_points, ideal_facts, lit_cases, warn_of_stacks
+from pixsim.studies.evaluate import Counts, LitCase, check_ideals, evaluate_points, ideal_facts, lit_cases
 from pixsim.studies.files import load_study, scene_table, settings_text, spreads_of_study, uncertainty_of
 from pixsim.studies.lights import Light, render_lights
 from pixsim.studies.prepare import StudyJob, prepare
@@ -139,6 +140,8 @@ def evaluate_cases(
     tables = table.by_case()
     curves = [rounds.curve(number, tables[number]) for number in range(len(cases))]
     warn_of_left_out(lit, curves)
+    possible = (one for one, curve in zip(lit, curves, strict=True) if isinstance(curve, Curve))
+    warn_of_reviews((label_of(one.case.sensor), one.case, one.scenes.light) for one in possible)
     found: list[StudyResult | str] = []
     for members in groups.values():
         if reason := next((curve for number in members if isinstance(curve := curves[number], str)), ""):
@@ -149,8 +152,6 @@ def evaluate_cases(
         facts = {number: ideal_facts(lit[number], smallest_um[number]) for number in members}
         for number in members:
             warn_of_clipping(facts[number].beyond_white, light.image.header, lit[number].imaging.display)
-        for number in members:
-            warn_of_stacks(lit[number], smallest_um[number])
         complete = []
         for number in members:
             curve, case = curves[number], cases[number]

@@ -11,15 +11,14 @@ from pixsim.base.notes import warn
 from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
-from pixsim.sensor.correction_options import NO_CORRECTION, Correction
+from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import electrons_per_joule
-from pixsim.sensor.motion_options import STILL, Motion
+from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.sensor.technology import load_technology
 from pixsim.viewer.causes import causes_of, lightness_range
 from pixsim.viewer.chain import ImagingChain, make_chain
-from pixsim.viewer.develop_options import DEVELOP, Develop, check_develop
+from pixsim.viewer.develop_options import Develop, check_develop
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.frame_under_test import FrameUnderTest, numbers_of
 from pixsim.viewer.imaging import Imaging
@@ -175,18 +174,16 @@ def evaluate(
     >>> score.delta_e.shape, round(float(score.image.mean() / score.ideal.mean()), 2)
     ((28, 28), 1.0)
     """
-    imaging = Imaging(
+    imaging = Imaging.of_records(
         camera,
         pixel,
-        load_technology(pixel.technology),
-        exposure or Exposure(),
-        display or Display(),
-        correction=correction or NO_CORRECTION,
-        develop=develop or DEVELOP,
-        motion=motion or STILL,
+        exposure=exposure,
+        display=display,
+        correction=correction,
+        develop=develop,
+        motion=motion,
         metrics=MetricRequest(metrics_named(metrics), metric or METRIC_OPTIONS),
-        full=full,
-    )
+    ).changed(full=full)
     chain = reviewed_chain(imaging, SceneLight(irradiance, without), is_recent=True)
     warn_of_records(imaging, irradiance)
     missing: dict[str, str] = {}

@@ -65,15 +65,40 @@ class Imaging:
     @classmethod
     def of(cls, run: Run, camera: Camera) -> Imaging:
         """Return the settings of a run's frames, with the technology that its pixel names."""
-        return cls(
+        return cls.of_records(
             camera,
             run.pixel,
-            load_technology(run.pixel.technology),
-            run.exposure,
-            run.display,
+            exposure=run.exposure,
+            display=run.display,
             correction=run.correction,
             develop=run.develop,
             motion=run.motion,
+        )
+
+    @classmethod
+    def of_records(
+        cls,
+        camera: Camera,
+        pixel: Pixel,
+        *,
+        exposure: Exposure | None = None,
+        display: Display | None = None,
+        correction: Correction | None = None,
+        develop: Develop | None = None,
+        motion: Motion | None = None,
+        metrics: MetricRequest = DELTA_E_ONLY,
+    ) -> Imaging:
+        """Return the settings of records, with the technology that the pixel names; None means the defaults."""
+        return cls(
+            camera,
+            pixel,
+            load_technology(pixel.technology),
+            exposure or Exposure(),
+            display or Display(),
+            correction=correction or NO_CORRECTION,
+            develop=develop or DEVELOP,
+            motion=motion or STILL,
+            metrics=metrics,
         )
 
     @cached_property

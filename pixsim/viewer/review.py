@@ -2,24 +2,46 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+
+from pixsim.base.notes import warn
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
-from pixsim.sensor.infrared import light_notes
-from pixsim.sensor.unit_slips import unit_slips
+from pixsim.sensor.infrared import pixel_notes
+from pixsim.show.sentences import few
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.metric_options import OF_TARGETS, has_target
 from pixsim.viewer.scene_light import SceneLight
 
 
-def review(imaging: Imaging, light: SceneLight) -> list[str]:
+def review(imaging: Imaging, light: SceneLight | None = None) -> list[str]:
     """Return what should be said of a pixel in its light, a sentence each.
 
     Numbers of the pixel that are rather in another unit, light for which a model does not hold, light of another camera, and light
     that no metric asks for.
+
+    light : None before it is rendered: only what the settings tell
     """
-    notes = [*camera_notes(imaging.camera, light.irradiance), *unit_slips(imaging.pixel)]
-    notes += light_notes(imaging.physics, imaging.camera, light.irradiance)
+    if light is None:
+        return pixel_notes(imaging.physics)
+    notes = camera_notes(imaging.camera, light.irradiance)
+    notes += pixel_notes(imaging.physics, imaging.camera, light.irradiance)
     return notes + background_notes(imaging.metrics.names, light.background)
+
+
+def warn_of_review(sensors: Mapping[str, Iterable[tuple[Imaging, SceneLight | None]]]) -> None:
+    """Warn of what `review` says of several sensors, a note of all of them once, and other notes with the sensor's name.
+
+    sensors : name -> the settings of each of its cases, with their light
+    """
+    names: dict[str, list[str]] = {}
+    for name, cases in sensors.items():
+        notes = (note for imaging, light in cases for note in review(imaging, light))
+        for note in dict.fromkeys(notes):
+            names.setdefault(note, []).append(name)
+    texts = [note if len(having) == len(sensors) else f"{', '.join(having)}: {note}" for note, having in names.items()]
+    for text in few([texts]):
+        warn(text)
 
 
 def camera_notes(camera: Camera, irradiance: SpectralImage) -> list[str]:

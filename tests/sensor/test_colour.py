@@ -20,7 +20,7 @@ from pixsim.sensor.colour_options import PATTERNS, channels_of
 from pixsim.sensor.correction import correct
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.infrared import light_notes
+from pixsim.sensor.infrared import pixel_notes
 from pixsim.sensor.integration import lights_of, mean_signal_rate
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
@@ -386,5 +386,5 @@ def test_diffusion_and_lights_follow_the_channels() -> None:
 def test_cameras_whose_channels_lost_their_ratio_are_named() -> None:
     for camera, warned in (("Nikon_D5100", True), ("ARRI_D21", True), ("Nikon_D810", False)):
         physics = derive(pixel({"sensitivities": camera, "peak_quantum_efficiency": 0.5}))
-        notes = light_notes(physics, CAMERA, light())
+        notes = pixel_notes(physics, CAMERA, light())
         assert any(f"each channel of {camera} was scaled to its own peak" in note for note in notes) is warned

@@ -11,7 +11,7 @@ import pytest
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.scene.packaged import packaged_scenes
-from pixsim.sensor.infrared import flat_efficiency_change, infrared_shares, light_notes, share_beyond, tables_of
+from pixsim.sensor.infrared import flat_efficiency_change, infrared_shares, pixel_notes, share_beyond, tables_of
 from pixsim.sensor.outside import CENTRES_NM, OUTSIDE
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
@@ -51,7 +51,7 @@ def coloured(**more: Any) -> PixelPhysics:
 
 
 def said(physics: PixelPhysics, image: SpectralImage = EVEN_PHOTONS) -> list[str]:
-    return light_notes(physics, CAMERA, image)
+    return pixel_notes(physics, CAMERA, image)
 
 
 def test_share_beyond_a_table_is_that_of_its_last_value() -> None:
