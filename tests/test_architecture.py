@@ -138,7 +138,7 @@ PARTS_OF_IMAGING = {
     "Technology": "pixel", "Readout": "readout", "Exposure": "exposure", "Motion": "motion", "Correction": "correction",
     "Develop": "develop", "Display": "display", "MetricOptions": "metrics", "MetricRequest": "metrics",
 }  # fmt: skip
-BUILD_IMAGING = {"viewer.evaluate.evaluate", "studies.sweep.sweep"}  # public: the records are their arguments
+BUILD_IMAGING = {"viewer.evaluate.evaluate", "viewer.imaging.of_records", "studies.sweep.sweep"}  # with the records as arguments
 
 
 def test_functions_between_light_and_score_take_imaging() -> None:

@@ -326,6 +326,8 @@ def test_any_argument_gives_a_right_result_or_an_error_that_names_it(name: str) 
     for argument, parameter in arguments_of(name).items():
         for label, junk in JUNK.items():
             case = f"{argument} = {label}"
+            if argument == "progress" and callable(junk):
+                continue  # what it returns is the caller's
             try:
                 result = call(name, base | {argument: junk})
             except PixsimError as error:

@@ -27,7 +27,6 @@ from pixsim.cli.options import DEFAULT_OUT, HELP, HELP_ALL, Json, Out, SceneOpti
 from pixsim.cli.process import interruption
 from pixsim.optics.lens_options import LensOptions
 from pixsim.studies.layers import study_layers
-from pixsim.viewer.merging import merged
 from pixsim.viewer.setting import Run
 
 RawFormat = Literal["tiff", "png", "npz"]
@@ -117,22 +116,6 @@ def check_current_folder() -> None:
 
 Units = Annotated[
     str | None, Parameter(help="Units of an image whose file does not state them, such as W.m^-2.nm^-1.", metavar="UNIT")
-]
-AxisOption = Annotated[
-    list[str] | None,
-    common.SEVERAL,
-    Parameter(
-        help="Vary a setting beside the pixel size: NAME=v1,v2,… or NAME=from:to:count[:log]. NAME is an axis of the study or "
-        "a dotted setting, as camera.f_number; settings joined by + take each value together. Values with labels are picked by "
-        "them. Repeatable.",
-        metavar="NAME=VALUES",
-    ),
-]
-SobolOption = Annotated[
-    int | None, Parameter(help="In place of --uncertainty: total indices, which take N × (inputs + 2) sensor types.", metavar="N")
-]
-Scheduler = Annotated[
-    str | None, Parameter(help="Address of a Dask scheduler (tcp://host:8786); its workers replace --jobs.", metavar="ADDRESS")
 ]
 
 
@@ -314,48 +297,7 @@ def study(
         str | None,
         Parameter(help=f"{SCENE_HELP} [default: that of the study]", metavar="NAME|FILE", completer=common.complete_scene),
     ] = None,
-    options: SceneOptions = common.NO_OPTIONS,
-    display: common.DisplayTable = None,
-    judges: common.Judges = common.NO_JUDGES,
-    pitch: common.PitchTable = None,
-    seed: common.Seed = None,
-    tolerance_e: common.Tolerance = None,
-    refine: Annotated[
-        bool | None,
-        Parameter(
-            help="Add sizes and sensors where an interval is open or too long [default: that of the study].", negative="--no-refine"
-        ),
-    ] = None,
-    quick: Annotated[
-        bool, Parameter(help="Fewer pitches and sensors: by NAME.quick.toml next to the study's file, or 8 and 4.")
-    ] = False,
-    jobs: Annotated[int | None, Parameter(help="Number of processes [default: one per core]; results do not depend on it.")] = None,
-    scheduler: Scheduler = None,
-    axis: AxisOption = None,
-    uncertainty: Annotated[
-        int | None,
-        Parameter(
-            help="Draw this many sensor types from the ranges of the technologies and [pixel.uncertainty] of data sheets, and "
-            "report the distribution of the optimum, probabilities, and which numbers matter.",
-            metavar="N",
-        ),
-    ] = None,
-    sobol: SobolOption = None,
-    smaller_than: Annotated[
-        list[float] | None,
-        common.SEVERAL,
-        Parameter(
-            help="Report the probability that the optimum is smaller than this pixel size in µm. Several as 2,3.45.", metavar="UM"
-        ),
-    ] = None,
-    noise_budget: common.NoiseBudget = None,
-    yes: Annotated[bool, Parameter(help="Run a study with axes of more than 100 000 evaluations.", negative="")] = False,
-    effort: common.EffortOptions = common.NO_EFFORT,
-    variant: common.Variant = None,
-    dry_run: common.DryRun = False,
-    figures: common.FigureFiles = "svg",
-    out: Out = None,
-    json: Json = False,
+    options: common.StudyOptions = common.NO_STUDY_OPTIONS,
 ) -> None:
     """Vary the pixel size and find the one with the least visible error.
 
@@ -388,30 +330,31 @@ def study(
     from pixsim.studies.result import CasesResult
     from pixsim.studies.study import run_prepared
 
-    stated = read_study(study, quick)
-    chosen = {"display": display, "pitch": pitch, "seed": seed, "refine": refine, "tolerance_e": tolerance_e}
-    chosen |= {"noise_budget": noise_budget, **vars(judges)}
-    tables = options.study_tables(scene, effort, **chosen)
-    files = config_layers(options.config or [])
-    if axis:
-        tables["axis"] = common.axes_of(axis, merged([*stated, *files]).get("axis", []))
+    stated = read_study(study, options.quick)
+    config = options.scene_options.config or []
+    jobs, scheduler, figures = options.jobs, options.scheduler, options.figures
+    files = config_layers(config)
+    tables = options.scene_options.study_tables(scene, options.effort, **options.settings)
+    tables |= options.axes([*stated, *files])
     with collected_notes():  # also of what is found before the study begins
         layers = study_layers(stated, files, tables)
         seconds: dict[str, float] = {}
-        suffix = "-quick" if quick else ""
+        suffix = "-quick" if options.quick else ""
         plan = checked_study(layers, tables)
-        folder = out or DEFAULT_OUT / f"{plan.name}{suffix}"
-        spreads = uncertainty_of(study, options.config or [], quick)
+        folder = options.out or DEFAULT_OUT / f"{plan.name}{suffix}"
+        spreads = uncertainty_of(study, config, options.quick)
         if MANY_CASES < (cases := number_of_cases(plan)) <= MAX_CASES:
             common.verbosity.note(f"{cases} cases are checked, each by itself")
-        job = replace(prepare(plan, variant), uncertainty=spreads)
-        asked, types = asked_of(uncertainty, sobol, smaller_than or (), spreads), 0
+        job = replace(prepare(plan, options.variant), uncertainty=spreads)
+        asked, types = asked_of(options.uncertainty, options.sobol, options.smaller_than or (), spreads), 0
         if asked is not None:
-            types, evaluations = check_types(job.study, [case.settings for case in job.combinations], asked, yes or dry_run)
-        if dry_run:
-            answer(outline_document("study", study_outline(job, jobs, types), folder), json)
+            types, evaluations = check_types(
+                job.study, [case.settings for case in job.combinations], asked, options.yes or options.dry_run
+            )
+        if options.dry_run:
+            answer(outline_document("study", study_outline(job, jobs, types), folder), options.json)
             return
-        check_number(len(job.combinations), job.evaluations, yes)
+        check_number(len(job.combinations), job.evaluations, options.yes)
         names = (axes_files if job.study.has_cases else report_files)(job.study)
         if asked is not None:
             common.verbosity.note(f"{types} sensor types, at most {evaluations} evaluations")
@@ -419,7 +362,7 @@ def study(
         check_replaceable(folder, names)
         with stages(seconds) as stage:
             with said_what_is_kept(folder):
-                result = run_prepared(job, folder, jobs=jobs, scheduler=scheduler, progress=stage, agreed=yes, asked=asked)
+                result = run_prepared(job, folder, jobs=jobs, scheduler=scheduler, progress=stage, agreed=options.yes, asked=asked)
                 stage("report")
                 first = result.cases[0]
                 drawing = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()
@@ -435,7 +378,7 @@ def study(
                 common.verbosity.note(str(result.counts))
             else:
                 document = study_document(result, warned)
-    answer(document, json, f"report: {report}")
+    answer(document, options.json, f"report: {report}")
 
 
 @contextmanager
@@ -493,30 +436,11 @@ def compare(
             "own. The central field that all have in common is compared [default: view, and whether lens turns the answer]."
         ),
     ] = None,
-    repeats: Annotated[int, Parameter(help="Pairs of frames, with the same seeds.")] = 8,
-    uncertainty: Annotated[
-        int | None,
-        Parameter(
-            help="Draw this many sensor types from the ranges of the technologies and [pixel.uncertainty] of data sheets, and "
-            "report the probability that the first sensor is better, the distribution of the difference, and which number matters.",
-            metavar="N",
-        ),
+    repeats: Annotated[
+        int | None, Parameter(help="Pairs of frames, with the same seeds [default: 8, with --quick 4].", show_default=False)
     ] = None,
-    sobol: SobolOption = None,
-    axis: AxisOption = None,
-    options: SceneOptions = common.NO_OPTIONS,
-    display: common.DisplayTable = None,
-    judges: common.Judges = common.NO_JUDGES,
-    seed: common.Seed = None,
-    tolerance_e: common.Tolerance = None,
-    effort: common.EffortOptions = common.NO_EFFORT,
     sensor: common.SensorId = None,
-    variant: common.Variant = None,
-    jobs: Annotated[int | None, Parameter(help="Number of processes [default: one per core]; results do not depend on it.")] = None,
-    scheduler: Scheduler = None,
-    dry_run: common.DryRun = False,
-    out: Out = None,
-    json: Json = False,
+    options: common.StudyOptions = common.NO_STUDY_OPTIONS,
 ) -> None:
     """Compare sensors in one scene: mean ΔE of each, the differences from the first, and how sure they are.
 
@@ -541,18 +465,17 @@ def compare(
         compared = compare_results(*sensors)
         title, facts = " against ".join(compared.names), tuple(compared.facts())
         document = Document("compare", "two results", title, compared.as_dict(), answers=compared.answers(), lead=facts)
-        answer(document, json)
+        answer(document, options.json)
         return
     from pixsim.report.compare import check_output, comparison_document, comparison_outline_document, comparison_page
     from pixsim.show.render import write
     from pixsim.studies.compare import run_prepared
-    from pixsim.studies.files import read_study
+    from pixsim.studies.files import config_layers, read_study
     from pixsim.studies.sensors import prepare
 
-    tables = options.tables(effort, display=display, seed=seed, tolerance_e=tolerance_e, **vars(judges))
-    if axis:
-        known_axes = [] if study is None else merged(read_study(study)).get("axis", [])
-        tables["axis"] = common.axes_of(axis, known_axes)
+    config = options.scene_options.config or []
+    tables = options.scene_options.tables(options.effort, **options.settings)
+    tables |= options.axes([*([] if study is None else read_study(study, options.quick)), *config_layers(config)])
     with collected_notes() as notes:
         job = prepare(
             sensors,
@@ -560,25 +483,29 @@ def compare(
             study=study,
             match=match,
             repeats=repeats,
-            config=options.config or [],
+            config=config,
             options=tables,
             sensor=sensor,
-            variant=variant,
-            uncertainty=uncertainty,
-            sobol=sobol,
+            variant=options.variant,
+            uncertainty=options.uncertainty,
+            sobol=options.sobol,
+            quick=options.quick,
+            smaller_than_um=options.smaller_than or (),
         )
-        folder = out or DEFAULT_OUT / "-".join(job.names)
-        if dry_run:
-            answer(comparison_outline_document(job, folder), json)
+        folder = options.out or DEFAULT_OUT / "-".join(job.names)
+        if options.dry_run:
+            answer(comparison_outline_document(job, folder), options.json)
             return
         check_output(job, folder)
         seconds: dict[str, float] = {}
         with output_folder(folder), stages(seconds) as stage:  # an invalid folder fails before the renders
-            result = run_prepared(job, jobs=jobs, scheduler=scheduler, progress=stage, out=folder)
+            result = run_prepared(
+                job, jobs=options.jobs, scheduler=options.scheduler, progress=stage, agreed=options.yes, out=folder
+            )
             stage("report")
-            report = write(comparison_page(result, folder), folder, {"seconds": seconds})
+            report = write(comparison_page(result, folder), folder, {"seconds": seconds}, options.figures)
             document = comparison_document(result, notes)  # other notes are on stderr
-    answer(document, json, f"report: {report}")
+    answer(document, options.json, f"report: {report}")
 
 
 @app.command

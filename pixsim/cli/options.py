@@ -20,6 +20,7 @@ from cyclopts import App, Parameter, Token, convert
 from pixsim.base import progress
 from pixsim.base.errors import PixsimError, did_you_mean, invalid, printable
 from pixsim.base.files import private_folder
+from pixsim.base.layers import Layer
 from pixsim.base.progress import Stage
 from pixsim.base.records import Record, as_list
 from pixsim.base.toml import packaged
@@ -34,6 +35,7 @@ from pixsim.sensor.pixel_options import NO_TECHNOLOGY, NUMBERS, Pixel
 from pixsim.studies.settings import PitchRange
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display_options import Display
+from pixsim.viewer.merging import merged
 from pixsim.viewer.metric_options import Detectability, MetricOptions
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
@@ -355,7 +357,84 @@ class Judges:
     metric: MetricTable = None
 
 
-NO_OPTIONS, NO_EFFORT, NO_JUDGES = SceneOptions(), EffortOptions(), Judges()
+@Parameter(name="*")
+@dataclass(frozen=True)
+class StudyOptions:
+    """Options of study and compare: what judges and varies sensors, how many are drawn, what it may cost, and what is written."""
+
+    scene_options: SceneOptions = SceneOptions()
+    display: DisplayTable = None
+    judges: Judges = Judges()
+    pitch: PitchTable = None
+    seed: Seed = None
+    tolerance_e: Tolerance = None
+    refine: Annotated[
+        bool | None,
+        Parameter(
+            help="Add sizes and sensors where an interval is open or too long [default: that of the study].", negative="--no-refine"
+        ),
+    ] = None
+    quick: Annotated[
+        bool, Parameter(help="Fewer pitches and sensors: by NAME.quick.toml next to the study's file, or 8 and 4.")
+    ] = False
+    jobs: Annotated[int | None, Parameter(help="Number of processes [default: one per core]; results do not depend on it.")] = None
+    scheduler: Annotated[
+        str | None, Parameter(help="Address of a Dask scheduler (tcp://host:8786); its workers replace --jobs.", metavar="ADDRESS")
+    ] = None
+    axis: Annotated[
+        list[str] | None,
+        SEVERAL,
+        Parameter(
+            help="Vary a setting beside the pixel size: NAME=v1,v2,… or NAME=from:to:count[:log]. NAME is an axis of the study or "
+            "a dotted setting, as camera.f_number; settings joined by + take each value together. Values with labels are picked by "
+            "them. Repeatable.",
+            metavar="NAME=VALUES",
+        ),
+    ] = None
+    uncertainty: Annotated[
+        int | None,
+        Parameter(
+            help="Draw this many sensor types from the ranges of the technologies and [pixel.uncertainty] of data sheets, and "
+            "report the distribution of the answer, probabilities, and which numbers matter.",
+            metavar="N",
+        ),
+    ] = None
+    sobol: Annotated[
+        int | None,
+        Parameter(help="In place of --uncertainty: total indices, which take N × (inputs + 2) sensor types.", metavar="N"),
+    ] = None
+    smaller_than: Annotated[
+        list[float] | None,
+        SEVERAL,
+        Parameter(
+            help="Report the probability that the optimum of a study is smaller than this pixel size in µm. Several as 2,3.45.",
+            metavar="UM",
+        ),
+    ] = None
+    noise_budget: NoiseBudget = None
+    yes: Annotated[bool, Parameter(help="Run several cases with more than 100 000 evaluations.", negative="")] = False
+    effort: EffortOptions = EffortOptions()
+    variant: Variant = None
+    dry_run: DryRun = False
+    figures: FigureFiles = "svg"
+    out: Out = None
+    json: Json = False
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The options that are tables and fields of a study, beside those of `SceneOptions`."""
+        names = "display", "pitch", "seed", "refine", "tolerance_e", "noise_budget"
+        return {name: getattr(self, name) for name in names} | vars(self.judges)
+
+    def axes(self, studies: Sequence[Layer]) -> dict[str, Any]:
+        """Return the table of --axis over the axes of a study; none without it.
+
+        studies : the study's own files, and others over them
+        """
+        return {"axis": axes_of(self.axis, merged(studies).get("axis", []))} if self.axis else {}
+
+
+NO_OPTIONS, NO_EFFORT, NO_JUDGES, NO_STUDY_OPTIONS = SceneOptions(), EffortOptions(), Judges(), StudyOptions()
 
 
 def given(options: dict[str, Any]) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from pixsim.base.machine import processors
 from pixsim.base.records import Record
 from pixsim.base.toml import SETTINGS_FILE, settings_table_text, whole_path
 from pixsim.light.curves import RESPONSES
+from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.pictures import crops, picture_axes, size_words
 from pixsim.report.run import colour_rows
 from pixsim.report.settings import record_rows, scene_rows, settings_table
@@ -36,10 +37,23 @@ from pixsim.show.document import (
     Map,
     Note,
     Pictures,
+    Plot,
     Section,
     Slider,
 )
-from pixsim.show.pictures import Picture, delta_e_png, display_codes, factor_for, light_png, reduced, scale, scale_end, worst_window
+from pixsim.show.pages import Column, Plate, figure_files
+from pixsim.show.pictures import (
+    Picture,
+    delta_e_png,
+    display_codes,
+    factor_for,
+    light_png,
+    reduced,
+    scale,
+    scale_end,
+    window_at,
+    worst_window,
+)
 from pixsim.show.render import PAGE
 from pixsim.show.sentences import rounded, setting_value, span
 from pixsim.studies.axes import Condition, paths_of
@@ -55,6 +69,11 @@ from pixsim.viewer.develop_options import TONE_CURVES
 from pixsim.viewer.setting import Run
 
 JSON_FILE = "compare.json"
+SCORES = "scores"
+SCORES_CAPTION = (
+    "Mean ΔE of each frame of each sensor, with the mean and its 95 % interval; with axes, the difference of each later sensor "
+    "from the first at each of their values. The film's error is not in it."
+)
 ROWS_FILES = {
     "results.csv": "mean ΔE of each frame, with which an interrupted comparison goes on",
     TYPES_FILE: "the same of the sensor types of --uncertainty",
@@ -144,12 +163,20 @@ def _outline_blocks(job: ComparisonJob, shown: dict[str, Any], out: Path) -> Ite
 # --- files ------------------------------------------------------------------------------------------------------------------------
 
 
+def figures_of(job: ComparisonJob) -> dict[str, str]:
+    """Return the names of the figures of a comparison, with their descriptions."""
+    has_budget = job.shown.first.settings.noise_budget
+    return {SCORES: "mean ΔE of each frame"} | ({NAME: "noise and ΔE by cause"} if has_budget else {})
+
+
 def comparison_files(job: ComparisonJob) -> dict[str, str]:
     """Return the names of all files of a comparison, with their descriptions; provenance.json comes with them."""
     files = {
         JSON_FILE: "all numbers and settings, for programs",
         SETTINGS_FILE: "settings of all sensors; its first lines have the command that makes the same numbers again",
     }
+    for name, words in figures_of(job).items():
+        files |= {f"figures/{name}.svg": words, f"figures/{name}.csv": f"data of the figure of {words}"}
     for sensor in job.names:
         files |= {
             f"sensors/{sensor}.toml": f"pixel, camera and exposure of {sensor}, as its file and the options have them",
@@ -162,7 +189,7 @@ def comparison_files(job: ComparisonJob) -> dict[str, str]:
 
 def check_output(job: ComparisonJob, folder: str | os.PathLike[str]) -> None:
     """Raise PixsimError if the folder holds a file of a comparison's name that pixsim did not write."""
-    check_replaceable(folder, {PAGE, *comparison_files(job)})
+    check_replaceable(folder, {PAGE, *comparison_files(job), *figure_files(figures_of(job))})
 
 
 def settings_files(job: ComparisonJob) -> dict[str, str]:
@@ -212,7 +239,8 @@ def _study_table(job: ComparisonJob, study: Study) -> dict[str, Any]:
         condition.model_dump(mode="json") | {"set": _whole_settings(condition, groups[condition.name].first.scene.path.parent)}
         for condition in study.condition
     ]
-    cases = {"condition": conditions} if conditions else {}
+    cases: dict[str, Any] = {"condition": conditions} if conditions else {}
+    cases |= {"detail": list(study.detail)} if study.detail else {}
     cases |= {"axis": [without_files_of_axis(axis.model_dump(mode="json")) for axis in study.axis]} if study.axis else {}
     return {"name": study.name} | shared | {"scene": scene} | cases
 
@@ -288,7 +316,8 @@ MATRIX = (
     "The matrix leads from the channels to the display's light. The larger its noise gains, the more of a sensor's noise is seen "
     "as colour."
 )
-DETAIL = "The detail where the errors of the sensors differ most: the ideal image, the sensor's picture, and its errors."
+DETAIL = "{}: the ideal image, the sensor's picture, and its errors."
+WORST_DETAIL, CHOSEN_DETAIL = "The detail where the errors of the sensors differ most", "The detail chosen in the settings"
 
 
 def _sections(result: Comparison, pngs: Mapping[str, bytes], end: float, rows_files: Sequence[str]) -> Iterator[Section]:
@@ -301,7 +330,9 @@ def _sections(result: Comparison, pngs: Mapping[str, bytes], end: float, rows_fi
     job, group, sensors, names = result.job, result.shown, result.sensors, result.names
     first, where = sensors[0], f" in {group.words}" if group.words else ""
     maps = [sensor.score.delta_e for sensor in sensors]
-    window = worst_window([np.abs(other - maps[0]) for other in maps[1:]])
+    centre, shape = None if job.study is None else job.study.detail, (maps[0].shape[0], maps[0].shape[1])
+    window = window_at(centre, shape) if centre else worst_window([np.abs(other - maps[0]) for other in maps[1:]])
+    detail = CHOSEN_DETAIL if centre else WORST_DETAIL
     pictures = [_picture(sensor.score.image, sensor.name) for sensor in sensors]
     slider = Slider(
         *("slider", f"The whole picture of {names[0]} and of another", pictures[0]),
@@ -309,14 +340,16 @@ def _sections(result: Comparison, pngs: Mapping[str, bytes], end: float, rows_fi
         *(f"the picture of {names[0]}", "the chosen picture"),
     )
     sizes = size_words(factor_for(first.score.image), group.display.samples_per_deg)
-    yield Section("differences", "Differences", [_differences(result), PAIRED.format(job.repeats)])
+    figure = Plot(lambda: scores_plate(result))
+    yield Section("differences", "Differences", [_differences(result), figure, PAIRED.format(job.repeats)])
     yield Section("pictures", f"Pictures{where}", (sizes, slider), together=True)
     details = [
         Section("", sensor.name, (Pictures((crops(sensor.score, window, f"the picture of {sensor.name}", end),), of),))
         for sensor in sensors
-        for of in ("the detail with the largest differences",)
+        for of in (f"{detail[0].lower()}{detail[1:]}",)
     ]
-    yield Section("detail", "The largest differences, 1:1", (DETAIL, *details, DeltaEScale(scale(end))), together=True)
+    title = "A detail, 1:1" if centre else "The largest differences, 1:1"
+    yield Section("detail", title, (DETAIL.format(detail), *details, DeltaEScale(scale(end))), together=True)
     head = (
         *("sensor", "mean ΔE", "99th percentile", "pixels", "pitch (µm)", "lens", "exposure (ms)", "mean electrons", "full well"),
         *("saturated", "film's error (ΔE)"),
@@ -330,12 +363,27 @@ def _sections(result: Comparison, pngs: Mapping[str, bytes], end: float, rows_fi
     colours = [(sensor.name, colour_rows(sensor.colour, sensor.score.out_of_gamut)) for sensor in sensors if sensor.colour]
     tables = [DocumentTable(f"colours of {name}", (), rows, name, words=None) for name, rows in colours]
     yield Section("colour", f"Colour{where}", [MATRIX, *tables] if tables else ())
+    yield budgets_section({sensor.name: sensor.budget for sensor in sensors if sensor.budget is not None})
     yield Section("maps", "Maps of the errors", [_map(sensor, pngs, end) for sensor in sensors])
     rest = f"Noise and non-uniformities that a data sheet does not state are zero. Seed {group.first.settings.seed}."
     yield Section("settings", "Settings", [*_settings(result), rest])
     files = comparison_files(job) | {name: words for name, words in ROWS_FILES.items() if name in rows_files}
     listed = [(Link(name, name), f": {words}") for name, words in (files | {"provenance.json": "versions and wall times"}).items()]
     yield Section("files", "Files in this folder", [Listed(listed)])
+
+
+def scores_plate(result: Comparison) -> Plate:
+    """Draw the mean ΔE of each frame of each sensor; with axes, the differences at each of their values.
+
+    Its table has the mean ΔE of each frame, under conditions their weighted mean.
+    """
+    rows: list[tuple[str, str, int, float]] = []
+    for case in result.cases:
+        for name, values in case.delta_e.items():
+            rows += [(case.case.words, name, repeat, float(value)) for repeat, value in enumerate(values)]
+    names = "case", "sensor", "repeat", "mean_delta_e"
+    table: dict[str, Column] = {name: [row[at] for row in rows] for at, name in enumerate(names)}
+    return Plate(SCORES, SCORES_CAPTION, result.plot(), table)
 
 
 def _differences(result: Comparison) -> DocumentTable:

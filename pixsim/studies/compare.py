@@ -19,17 +19,20 @@ import numpy as np
 from pixsim.base.arguments import Count, Jobs, checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.files import output_folder
-from pixsim.base.layers import listed, plain_tables
+from pixsim.base.layers import listed
 from pixsim.base.notes import collected_notes, warn, without_warnings
 from pixsim.base.progress import Progress, Stage, no_stage
+from pixsim.light.spectral import SpectralImage
 from pixsim.scene.plan import Plan
 from pixsim.sensor.pixel_options import BORDER_PIXELS
 from pixsim.studies.comparison import ComparedSensor, Comparison
-from pixsim.studies.design import Case, named, warn_of_reviews
+from pixsim.studies.design import Case, check_number, named, warn_of_reviews
 from pixsim.studies.drawn_types import TYPES_FILE, PairUncertainty, Types, sample_of
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluate import LitCase, check_ideals, evaluate_points, lit_cases
+from pixsim.studies.files import tables_of_python
 from pixsim.studies.film_error import kept_steps
+from pixsim.studies.layers import check_asked
 from pixsim.studies.lights import Light, rendered_light
 from pixsim.studies.sensors import PAIR, ComparisonJob, Match, SensorGroup, prepare
 from pixsim.studies.settings import Study
@@ -37,9 +40,8 @@ from pixsim.studies.store import check_replaceable_results
 from pixsim.studies.uncertainty import FEW_SENSORS
 from pixsim.viewer.chain import make_chain
 from pixsim.viewer.dark_clip import dark_clip
-from pixsim.viewer.develop_options import of_python
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.metric_registry import names_of
+from pixsim.viewer.noise_budget import noise_budget
 from pixsim.viewer.scene_light import PreparedScene
 from pixsim.viewer.score import Score
 from pixsim.viewer.screen import warn_of_clipping, white_header
@@ -52,17 +54,23 @@ def compare(
     *,
     study: Study | str | os.PathLike[str] | None = None,
     match: Match | None = None,
-    repeats: Count = 8,
+    repeats: Count | None = None,
     config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
     parameters: Mapping[str, float | int | str] | None = None,
+    pixel: Mapping[str, Any] | None = None,
     sensor: str | None = None,
     variant: str | None = None,
+    quick: bool = False,
     jobs: Jobs | None = None,
     scheduler: object = None,
     progress: Stage | None = None,
+    agreed: bool = False,
     out: str | os.PathLike[str] | None = None,
     uncertainty: int | None = None,
     sobol: int | None = None,
+    smaller_than_um: Sequence[float] = (),
+    light: SpectralImage | None = None,
+    without: SpectralImage | None = None,
     axis: Sequence[Mapping[str, Any]] = (),
     condition: Sequence[Mapping[str, Any]] = (),
     metrics: Sequence[str | Callable[[Score], float]] = (),
@@ -80,23 +88,27 @@ def compare(
     match : 'view': the same field of view, f-number and object distance, those of the first file's camera; 'lens': the same focal
         length; 'own': each file's own camera. Only the central field that all have in common is compared. None means 'view', and
         says whether 'lens' turns the answer
-    repeats : pairs of frames; frames of one number have the same seeds
-    config : one or more TOML files with settings of all sensors, which take precedence over the sensors' own files
+    repeats : pairs of frames; frames of one number have the same seeds. None means 8, with `quick` 4
+    config : one or more TOML files with settings of all sensors, or of a study, which take precedence over the sensors' own files
     parameters : of the scene, each in its unit
+    pixel : fields of all pixels, as {"bits": 12}
     sensor : id of the scene's sensor, if it has several
     variant : Mitsuba variant; None means the fastest that works
+    quick : fewer pairs of frames, and the overrides of `study`, the file NAME.quick.toml next to its own
     jobs : processes; None means one per core, where they are worth it. The results do not depend on it
     scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers replace local processes
     progress : returns a callback for each named stage
+    agreed : whether a comparison with axes or sensor types may take more than 100 000 evaluations
     out : folder whose results.csv keeps the numbers of each frame, so that an interrupted comparison goes on. None keeps nothing
     uncertainty : sensor types to draw from the ranges of technologies and [pixel.uncertainty] of data sheets, for the result's
         `uncertainty`; rounded up to a power of two. None means none
     sobol : in its place, number of points for total indices, which take sobol × (inputs + 2) sensor types
+    smaller_than_um, light, without : of a study; a comparison refuses them
     axis, condition : tables of a study, in place of those of `study`: axis=[{"name": "lens", "set": "camera.f_number", "values":
         [2.0, 4.0]}]
     metrics : names of further metrics, or functions of a `Score`, each a number in its own unit; the verdict is that of ΔE
-    settings : tables and fields of `Run` for all sensors: camera={"f_number": 2.8}, exposure={…}, display={…}, seed=3. They take
-        precedence over the study, but not over its conditions
+    settings : tables and fields of `Study` for all sensors: camera={"f_number": 2.8}, exposure={…}, display={…}, seed=3. They
+        take precedence over the study, but not over its conditions. Those for pixel sizes change nothing
 
     Raises PixsimError for invalid input, before anything is rendered.
 
@@ -105,10 +117,10 @@ def compare(
     >>> sorted(result.scores), result.difference["4t-bsi"] < 0  # a quieter pixel
     (['0.35um', '4t-bsi'], True)
     """
-    if metrics:
-        settings["metrics"] = names_of(metrics)
-    options = plain_tables(of_python(settings))
+    check_asked("comparison", light=light, without=without)
+    options = tables_of_python(settings, metrics)
     options |= {"scene": dict(parameters)} if parameters else {}
+    options |= {"pixel": dict(pixel)} if pixel else {}
     options |= {name: list(tables) for name, tables in (("axis", axis), ("condition", condition)) if tables}
     with collected_notes():  # also of what is found before the comparison begins
         job = prepare(
@@ -117,14 +129,16 @@ def compare(
             study=study,
             match=match,
             repeats=repeats,
-            config=[Path(path) for path in listed(config)],
+            config=listed(config),
             options=options,
             sensor=sensor,
             variant=variant,
             uncertainty=uncertainty,
             sobol=sobol,
+            quick=quick,
+            smaller_than_um=smaller_than_um,
         )
-        return run_prepared(job, jobs=jobs, scheduler=scheduler, progress=progress, out=out)
+        return run_prepared(job, jobs=jobs, scheduler=scheduler, progress=progress, agreed=agreed, out=out)
 
 
 def run_prepared(
@@ -133,9 +147,12 @@ def run_prepared(
     jobs: int | None = None,
     scheduler: object = None,
     progress: Stage | None = None,
+    agreed: bool = False,
     out: str | os.PathLike[str] | None = None,
 ) -> Comparison:
     """Run a prepared comparison; the other arguments are those of `compare`."""
+    types = 1 if job.types is None else len(job.types.sample.quantiles)
+    check_number(max(len(job.combinations), types), job.evaluations, agreed)
     stage = progress or no_stage
     with collected_notes() as notes, ExitStack() as stack:
         folder = None if out is None else stack.enter_context(output_folder(out))
@@ -245,6 +262,8 @@ def compared_sensor(group: SensorGroup, lit: LitCase, light: Light, plan: Plan) 
     case, imaging = lit.case, lit.imaging
     chain = make_chain(imaging.registered(0), lit.light())
     score = chain.simulate(*case.stream, 0)
+    is_shown = not case.labels.get(PAIR) and group.weight > 0
+    budget = noise_budget(chain, light.image, *case.stream, 0) if case.settings.noise_budget and is_shown else None
     time_s = score.frame.integration_s
     white_e = chain.white_e_per_s * time_s
     with without_warnings():  # the result itself warns
@@ -258,6 +277,7 @@ def compared_sensor(group: SensorGroup, lit: LitCase, light: Light, plan: Plan) 
         white_e=white_e,
         steps=steps,
         colour=None if chain.rendition is None else chain.development.colour_facts(time_s),
+        budget=budget,
     )
 
 

@@ -35,6 +35,7 @@ from pixsim.viewer.develop_options import developed_words
 from pixsim.viewer.display import white_light
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.metrics import DELTA_E, Metric
+from pixsim.viewer.noise_budget import NoiseBudget
 from pixsim.viewer.score import Cause, FrameScore, noise_error_and_limit, unmet
 from pixsim.viewer.setting import Run
 
@@ -58,6 +59,7 @@ class ComparedSensor:
     white_e : mean electrons of the scene's white on axis in its first frame
     steps : on this film and on coarser ones, for the film's error of a difference
     colour : channels, matrix and noise gains, as in score.json; None for a monochrome sensor
+    budget : noise budget of its first frame; None if nobody asks
     """
 
     case: Case[Run]
@@ -67,6 +69,7 @@ class ComparedSensor:
     white_e: float
     steps: FilmSteps = field(repr=False)
     colour: dict[str, Any] | None = field(default=None, repr=False)
+    budget: NoiseBudget | None = field(default=None, repr=False)
 
     @property
     def name(self) -> str:
@@ -117,6 +120,7 @@ class ComparedSensor:
             "dark": self.dark,
             "causes": [cause.as_dict() for cause in self.causes],
             **({} if self.colour is None else {"colour": self.colour}),
+            **({} if self.budget is None else {"noise_budget": self.budget.as_dict()}),
             "white_spectrum": white_light(light.image)[1],
             "irradiance": light.image.header,
         }

@@ -22,6 +22,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.sensor.labels import labels_of
 from pixsim.studies.axes import Axis, AxisPoint, case_folder, check_case_folders
+from pixsim.studies.keys import point_count
 from pixsim.studies.settings import Study
 from pixsim.studies.sizes import technology_of
 from pixsim.studies.table import Label
@@ -153,6 +154,14 @@ class Job(Generic[Settings]):
         for case in self.cases:
             firsts.setdefault(case.group, case)
         return tuple(firsts.values())
+
+    @property
+    def evaluations(self) -> int:
+        """Number of evaluations with which the cases start."""
+        displays = [1 + len(case.others) for case in self.cases]
+        return sum(
+            point_count(count, shown) for case, shown in zip(self.cases, displays, strict=True) for count in case.sizes.values()
+        )
 
 
 @contextmanager
@@ -310,7 +319,7 @@ MAX_UNASKED = 100_000  # evaluations of a study with axes
 
 
 def check_number(cases: int, evaluations: int, agreed: bool) -> None:
-    """Raise PixsimError for a study with axes of very many evaluations, unless the user has agreed."""
+    """Raise PixsimError for very many evaluations in several cases, unless the user has agreed."""
     if cases > 1 and evaluations > MAX_UNASKED and not agreed:
         hint = "Give --yes (in Python agreed=True) to run it, or fewer values, pixel sizes or repeats; --dry-run states the time."
-        raise invalid("study", f"{evaluations} evaluations in {cases} cases", f"up to {MAX_UNASKED} without asking", hint)
+        raise invalid("cases", f"{evaluations} evaluations in {cases} cases", f"up to {MAX_UNASKED} without asking", hint)

@@ -14,6 +14,7 @@ from pixsim.base.notes import warn
 from pixsim.base.records import Record, checked
 from pixsim.base.toml import packaged, read_toml, resolve_file, settings_table_text, whole_path
 from pixsim.light.curves import AS_CURVES, as_quantum_efficiency, as_share
+from pixsim.optics.camera import Camera
 from pixsim.optics.chief_rays import as_chief_ray_angles, as_relative_illumination
 from pixsim.sensor.spread import Spread, Uncertainty, sheet_uncertainty, without_uncertainty
 from pixsim.studies.axes import is_case_name, paths_of, setting_path
@@ -21,6 +22,8 @@ from pixsim.studies.layers import has_study_settings, study_layers
 from pixsim.studies.settings import Study, owner_of
 from pixsim.viewer.develop_options import as_tone_curve, of_python
 from pixsim.viewer.merging import merge, merged
+from pixsim.viewer.metric_registry import names_of
+from pixsim.viewer.score import Score
 from pixsim.viewer.settings_file import settings_layer, settings_path
 
 # Settings that name files: those whose values can stand in their place, and others.
@@ -292,17 +295,33 @@ def load_study(
     quick : add the overrides of `read_study`: fewer pixel sizes and sensors
     settings : other fields of `Study`, tables as dicts: camera={"f_number": 2.8}, pitch={"min_um": 2.0}, window_mm=1.0
     """
-    options = plain_tables(of_python(settings))
+    options = tables_of_python(settings)
     of_scene = {"file": None if scene is None else str(scene), "parameters": dict(parameters) if parameters else None}
     options |= {"scene": {name: value for name, value in of_scene.items() if value is not None}} if scene or parameters else {}
     options |= {"pixel": dict(pixel)} if pixel else {}
     return checked_study(study_layers(read_study(name, quick), config_layers(config), options), options)
 
 
-def study_of(study: Study | str | os.PathLike[str]) -> tuple[Layer, Study]:
-    """Return a study as its file states it, and checked. Raises PixsimError for an invalid one."""
-    layer = Layer(study.model_dump(mode="json", exclude_unset=True)) if isinstance(study, Study) else read_study(study)[0]
-    return layer, checked_study([layer])
+def tables_of_python(settings: Mapping[str, object], metrics: Sequence[str | Callable[[Score], float]] = ()) -> dict[str, Any]:
+    """Return tables and fields that stand in Python as those of a file: records as the fields that they state, metrics by name."""
+    tables = dict(settings) | ({"metrics": names_of(metrics)} if metrics else {})
+    for name, value in tables.items():
+        if isinstance(value, Camera):
+            tables[name] = value.options.model_dump(exclude_none=True)
+        elif isinstance(value, Record):
+            tables[name] = value.model_dump(exclude_unset=True)
+    return plain_tables(of_python(tables))
+
+
+def study_of(study: Study | str | os.PathLike[str], quick: bool = False) -> Layer:
+    """Return the table of a study as its file states it.
+
+    quick : with the overrides of its file NAME.quick.toml, if there is one
+    """
+    if isinstance(study, Study):
+        return Layer(study.model_dump(mode="json", exclude_unset=True))
+    layers = [layer for layer in read_study(study, quick) if layer.source]
+    return Layer(merged(layers), layers[0].source)
 
 
 def checked_study(layers: Sequence[Layer], options: Mapping[str, Any] | None = None) -> Study:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
+from pixsim.base.caller import setting
 from pixsim.base.errors import invalid
 from pixsim.base.layers import Layer
 from pixsim.base.notes import warn
 from pixsim.base.records import checked
 from pixsim.light.quantities import ILLUMINANCE, LUMINANCE
+from pixsim.scene.study_scene import StudyScene
 from pixsim.sensor.pixel_options import DATA_SHEET, NO_TECHNOLOGY, SCALED_WITH_AREA, STANDS_FOR, missing_of_data_sheet
+from pixsim.studies.axes import paths_of
 from pixsim.studies.settings import Study
 from pixsim.viewer.merging import merged
 from pixsim.viewer.setting import Run
@@ -24,6 +27,53 @@ REPLACED_RANGE = {"values_um": ("min_um", "max_um", "count", "min_fill_factor"),
 
 # Names of settings that a sensor's file does not have; those of earlier versions are refused with what takes their place.
 STUDY_ONLY = (Study.model_fields.keys() - Run.model_fields.keys()) | {"base", "quick"}
+
+
+# Questions to a study to which another command has no answer, and what asks them.
+NOT_ASKED = {
+    "smaller_than_um": "a study, whose answer is a pixel size",
+    "paper": "a study with the scene of Chen et al. (2000) and their pixel sizes",
+    "light": "sweep(light, pixels), of sensors in one light; those of a comparison see a scene, each through its own lens",
+    "without": "sweep(light, pixels, without=…); the sensors of a comparison see a scene",
+    "noise_budget": "run, study or compare, whose results have a page",
+}
+# Settings of a study that decide nothing on sensors of other commands, which have their own technologies and pixel sizes.
+STUDY_ALONE = (
+    *("name", "streams", "title", "sources", "technologies", "sensors", "process", "pitch", "repeats", "refine", "target_ci_um"),
+    *("max_repeats", "max_evaluations", "iso_delta_e", "paper"),
+)
+WORDS_OF_FILES = ("name", "title", "sources")  # which nobody states for another command
+
+
+def unused_settings(layers: Sequence[Layer], not_taken: Collection[str]) -> list[str]:
+    """Return the dotted names of settings that a command does not take, without what a file says of itself.
+
+    layers : of files and options
+    not_taken : fields of a study
+    """
+    names: list[str] = []
+    for layer in layers:
+        words = WORDS_OF_FILES if layer.source else ()
+        names += [".".join(path) for path in paths_of(layer.table) if path[0] in not_taken and path[0] not in words]
+    return names
+
+
+def check_asked(command: str, **asked: object) -> None:
+    """Raise PixsimError for something that is asked of a command, and that only others answer."""
+    for name, value in asked.items():
+        if value is not None and value is not False and value != ():
+            raise invalid(setting(name), f"a value in a {command}", f"{setting(name)} of {NOT_ASKED[name]}")
+
+
+def parts_of_study(layer: Layer) -> tuple[Layer, Layer]:
+    """Return the tables of a layer that a run has too, with the scene's parameters alone, and what only a study has."""
+    of_study = {name: value for name, value in layer.table.items() if name in STUDY_ONLY}
+    of_run = {name: value for name, value in layer.table.items() if name not in STUDY_ONLY}
+    scene = of_run.get("scene")
+    if of_study and isinstance(scene, dict) and scene.keys() <= StudyScene.model_fields.keys():
+        of_study |= {"scene": {"file": scene["file"]}} if "file" in scene else {}
+        of_run |= {"scene": scene.get("parameters", {})}
+    return Layer(of_run, layer.source, layer.named), Layer(of_study, layer.source, layer.named)
 
 
 def has_study_settings(table: dict[str, Any]) -> bool:

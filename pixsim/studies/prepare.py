@@ -38,7 +38,7 @@ from pixsim.sensor.spread import Uncertainty
 from pixsim.sensor.technology import check_name
 from pixsim.studies.axes import paths_of
 from pixsim.studies.design import BASE, Case, Job, cases_of, named, warn_of_reviews, with_range_ends
-from pixsim.studies.keys import frames_fit_in_cache, point_count
+from pixsim.studies.keys import frames_fit_in_cache
 from pixsim.studies.settings import PitchRange, Study
 from pixsim.studies.sizes import (
     BYTES_PER_PIXEL,
@@ -57,7 +57,7 @@ from pixsim.studies.without_effect import cases_to_try, settings_of_technology
 from pixsim.viewer.display import dot_edges_um
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.metric_options import has_target
-from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, MetricContext, columns_of_metrics
+from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, Metric, MetricContext, columns_of_metrics
 from pixsim.viewer.scene_light import check_background
 from pixsim.viewer.screen import allows_single
 from pixsim.viewer.setting import Run, Setting
@@ -330,6 +330,22 @@ GIVEN_LIGHT = "(given light)"  # in place of a scene's file
 OF_SCENE = ("scene", "camera", "lens", "window_mm", "resolution", "max_seconds", "tolerance_e", "tolerance_delta_e", "render_noise")
 
 
+def check_given_light(**of_scene: object) -> None:
+    """Raise PixsimError for what says which scene is rendered, beside light that is given."""
+    if names := [name for name, value in of_scene.items() if value]:
+        raise invalid(names[0], "a value beside light", "one of the two")
+
+
+def check_axis_names(study: Study, metrics: Sequence[Metric], *labels: str) -> None:
+    """Raise PixsimError for an axis with the name of a column that all rows have.
+
+    labels : further columns
+    """
+    columns = *OF_PIXEL, *columns_of_metrics(metrics), KEY, *labels
+    if taken := [axis.name for axis in study.axis if axis.name in columns]:
+        raise invalid("axis", f"name = '{taken[0]}', a column of every study", "another name")
+
+
 def of_given_light(study: Study, variant: str | None) -> Study:
     """Return a study whose light is given, without the scene of its file.
 
@@ -384,14 +400,6 @@ class StudyJob(Job[Study]):
         """The study with its display and chart; without axes and conditions, with its pixel sizes too."""
         return self.base or self.settings
 
-    @property
-    def evaluations(self) -> int:
-        """Number of evaluations that the study starts with."""
-        displays = [1 + len(case.others) for case in self.cases]
-        return sum(
-            point_count(count, shown) for case, shown in zip(self.cases, displays, strict=True) for count in case.sizes.values()
-        )
-
 
 def prepare(
     study: Study, variant: str | None = None, light: SpectralImage | None = None, without: SpectralImage | None = None
@@ -412,9 +420,7 @@ def prepare(
     def source_for(study: Study) -> tuple[Scene | SpectralImage, Camera]:
         return scene_for(study, variant, scenes) if light is None else (light, camera_of_light(light, study.camera, study.lens))
 
-    columns = *OF_PIXEL, *columns_of_metrics((DELTA_E, *metrics_of(study).chosen)), KEY
-    if taken := [axis.name for axis in study.axis if axis.name in columns]:
-        raise invalid("axis", f"name = '{taken[0]}', a column of every study", "another name")
+    check_axis_names(study, (DELTA_E, *metrics_of(study).chosen))
     # Display and chart are those of the study itself, so that all of its cases are comparable.
     own = _without_axes(study) if study.has_cases else study
     scene, camera = source_for(own)
@@ -522,11 +528,13 @@ def check_metrics(
     source: Scene | SpectralImage,
     without: SpectralImage | None = None,
     units: str | None = None,
+    names: Sequence[str] = (),
 ) -> SpectralImage | None:
     """Return the light without the target beside light that is given: `without`, or that of a file that the settings name.
 
     source : scene, or light that is given
     units : of light in files that do not state them
+    names : of the pixels, for messages
 
     Raises PixsimError for a metric that is unknown, or that means nothing for one of the pixels, or for the source.
     """
@@ -549,8 +557,9 @@ def check_metrics(
             with named(name):
                 scene_path(stated)
         has_without, has_distance = isinstance(stated, str) or stated.keys() <= source.names, True
-    for pixel in pixels:
-        request.check(MetricContext(pixel.colour is not None, has_without, has_distance=has_distance))
+    for number, pixel in enumerate(pixels):
+        with named(names[number] if names else ""):
+            request.check(MetricContext(pixel.colour is not None, has_without, has_distance=has_distance))
     return None if without is None else without.identified
 
 

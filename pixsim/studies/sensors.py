@@ -31,12 +31,15 @@ from pixsim.sensor.technology import check_name, load_technology
 from pixsim.studies.axes import NOT_SETTINGS, paths_of
 from pixsim.studies.design import Case, Job, cases_of, combinations, named, values_at, warn_of_reviews, with_range_ends
 from pixsim.studies.drawn_types import Types, asked_of
-from pixsim.studies.files import checked_study, study_of
+from pixsim.studies.files import QUICK_REPEATS, checked_study, config_layers, study_of
+from pixsim.studies.layers import STUDY_ALONE, check_asked, parts_of_study, unused_settings
 from pixsim.studies.lights import LightRequest, light_request
 from pixsim.studies.paired import FEWEST_PAIRS
 from pixsim.studies.prepare import check_metrics, choose_view, is_picture, loaded_scene, with_view
 from pixsim.studies.settings import Study, owner_of
 from pixsim.studies.sizes import further_displays, metrics_of
+from pixsim.studies.table import Label
+from pixsim.studies.uncertainty import FEW_SENSORS
 from pixsim.viewer.display import dot_edges_um
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
@@ -50,7 +53,7 @@ if TYPE_CHECKING:
     from pixsim.scene.scene import Scene
 
 SENSORS = (2, 8)  # of a comparison; the page shows each in full
-REPEATS = (FEWEST_PAIRS, 10_000)
+REPEATS, USUAL_REPEATS = (FEWEST_PAIRS, 10_000), 8
 OF_A_SENSOR = ("camera", "lens", "pixel", "exposure")  # tables that each file has of its own; the others are those of the first
 # What a study says to a comparison: the scene and the settings of all sensors, and a lens for files that state none. Its pixels,
 # technologies and pixel sizes are not used.
@@ -207,7 +210,7 @@ def not_used_of(table: Mapping[str, Any], other_scene: bool) -> tuple[str, ...]:
 
     other_scene : whether the comparison has another scene
     """
-    found = [name for name in table if name not in (*SHARED, *WORDS, "scene", "camera", "lens")]
+    found = [name for name in table if name not in (*SHARED, *WORDS, "detail", "scene", "camera", "lens")]
     found += [f"camera.{name}" for name in OF_DIE if name in table.get("camera", {})]
     return *found, *(["scene"] if other_scene and "scene" in table else [])
 
@@ -243,6 +246,69 @@ def overrides_layer(table: Mapping[str, Any], where: str) -> Layer:
 
 
 @dataclass(frozen=True)
+class Circumstances:
+    """What the axes and one condition of a study set for every sensor.
+
+    weight : share of the condition; 1 without conditions
+    layer : of settings, over those of all sensors; None where neither sets one
+    scene : file of the scene, where they set it; else empty
+    at, alone, condition, labels : as of `Case`
+    words : values of axes and condition, for messages
+    """
+
+    weight: float = 1.0
+    layer: Layer | None = None
+    scene: str = ""
+    at: dict[str, Label] = field(default_factory=dict)
+    alone: str = ""
+    condition: str = ""
+    words: str = ""
+
+    @property
+    def labels(self) -> dict[str, Label]:
+        """What tells its cases from others."""
+        return self.at | ({"condition": self.condition} if self.condition else {})
+
+    def placed(self, case: Case[Run], **more: Label) -> Case[Run]:
+        """Return a sensor as a case in these circumstances.
+
+        more : labels before theirs
+        """
+        return replace(case, at=self.at, alone=self.alone, condition=self.condition, labels={**more, **self.labels})
+
+
+def circumstances(plan: Study | None, source: str = "") -> list[list[Circumstances]]:
+    """Return the circumstances of a study: at each combination of its axes, under each of its conditions.
+
+    source : file of the study, for messages
+
+    Raises PixsimError for settings that sensors with files or pixels of their own do not have.
+    """
+    if plan is None or not plan.has_cases:
+        return [[Circumstances()]]
+    if plan.axis:
+        cases_of(plan)  # that its values are allowed
+    total = sum(condition.weight for condition in plan.condition)
+    combined: list[list[Circumstances]] = []
+    for chosen, alone in combinations(plan.axis):
+        at = values_at(plan.axis, chosen)
+        table: dict[str, Any] = {}
+        for point in chosen.values():
+            table = merge(table, point.table)
+        under: list[Circumstances] = []
+        for condition in plan.condition or (None,):
+            name, settings = ("", table) if condition is None else (condition.name, merge(table, condition.set))
+            values = [f"axis {axis}, value {point.label}" for axis, point in chosen.items()]
+            words = ", ".join([*values, *([f"condition {name}"] if name else [])])
+            layer = overrides_layer(settings, ": ".join(filter(None, (source, words)))) if settings else None
+            weight = 1.0 if condition is None else condition.weight / total
+            scene = str(settings.get("scene", {}).get("file", ""))
+            under.append(Circumstances(weight, layer, scene, at, alone, name, words))
+        combined.append(under)
+    return combined
+
+
+@dataclass(frozen=True)
 class Stated:
     """What is stated for the sensors at values of axes, under one condition.
 
@@ -265,32 +331,18 @@ def stated_cases(
     plan : the study, if there is one
     source : file of the study
     """
-    if plan is None or not plan.has_cases:
-        return [[Stated(1.0, scene, read_sensors(files, lens, config, options))]]
-    if plan.axis:
-        cases_of(plan)  # that its values are allowed
-    total = sum(condition.weight for condition in plan.condition)
-    combined: list[list[Stated]] = []
-    for chosen, alone in combinations(plan.axis):
-        at = values_at(plan.axis, chosen)
-        table: dict[str, Any] = {}
-        for point in chosen.values():
-            table = merge(table, point.table)
-        under: list[Stated] = []
-        for condition in plan.condition or (None,):
-            name, settings = ("", table) if condition is None else (condition.name, merge(table, condition.set))
-            values = [f"axis {axis}, value {point.label}" for axis, point in chosen.items()]
-            words = ", ".join([*values, *([f"condition {name}"] if name else [])])
-            overrides = overrides_layer(settings, ": ".join(filter(None, (source, words)))) if settings else None
-            labels = at | ({"condition": name} if name else {})
-            sensors = [
-                replace(sensor, at=at, alone=alone, condition=name, labels=labels)
-                for sensor in read_sensors(files, lens, config, options, overrides)
-            ]
-            weight = 1.0 if condition is None else condition.weight / total
-            under.append(Stated(weight, str(settings.get("scene", {}).get("file", scene)), sensors, words))
-        combined.append(under)
-    return combined
+    return [
+        [
+            Stated(
+                place.weight,
+                place.scene or scene,
+                [place.placed(sensor) for sensor in read_sensors(files, lens, config, options, place.layer)],
+                place.words,
+            )
+            for place in under
+        ]
+        for under in circumstances(plan, source)
+    ]
 
 
 def warn_of_uncertainty(sources: Sequence[str]) -> None:
@@ -301,12 +353,13 @@ def warn_of_uncertainty(sources: Sequence[str]) -> None:
 
 
 def _warn_of_settings_without_effect(
-    given: Sequence[Sequence[Case[Run]]], complete: Sequence[Sequence[Case[Run]]], match: Match
+    given: Sequence[Sequence[Case[Run]]], complete: Sequence[Sequence[Case[Run]]], match: Match, unused: Sequence[str]
 ) -> None:
     """Warn of the settings that have no effect in any condition of a comparison, with the sensors that set them.
 
     given : the sensors under each condition, as the user set them
     complete : the same, with their cameras
+    unused : dotted names of settings that only a study takes
 
     Motion, display, correction and development are those of the first sensor; so is the lens, unless each has its own.
     """
@@ -318,8 +371,9 @@ def _warn_of_settings_without_effect(
             run = sensor.settings.model_copy(update=shared)
             imaging = Imaging.of(run, case.camera).changed(metrics=metrics_of(first))
             other_lens = () if match == "own" else _changed_lens(run, first)
-            facts = {"judges_run": False, "has_noise_budget": False, "other_lens": other_lens}
-            sensors.setdefault(sensor.sensor, []).append(GivenSettings.of_setting(imaging, run, **facts))
+            settings = GivenSettings.of_setting(imaging, run, judges_run=False, other_lens=other_lens, not_taken=STUDY_ALONE)
+            settings = replace(settings, names=(*settings.names, *unused))
+            sensors.setdefault(sensor.sensor, []).append(settings)
     warn_of_settings_without_effect(sensors)
 
 
@@ -457,6 +511,12 @@ class ComparisonJob(Job[Run]):
         return tuple(case.sensor for case in self.groups[0].cases)
 
     @property
+    def evaluations(self) -> int:
+        """Number of evaluations of the sensors, and of their types."""
+        types = 0 if self.types is None else len(self.types.sample.quantiles)
+        return super().evaluations + FEW_SENSORS * types * len(self.names) * len(self.of_sensors())
+
+    @property
     def combinations(self) -> tuple[Case[Run], ...]:
         """The first sensor at each combination of the values of axes."""
         firsts: dict[str, Case[Run]] = {}
@@ -497,36 +557,45 @@ def prepare(
     *,
     study: Study | str | os.PathLike[str] | None = None,
     match: Match | None = None,
-    repeats: int,
-    config: Sequence[Path] = (),
+    repeats: int | None = None,
+    config: Sequence[str | os.PathLike[str]] = (),
     options: dict[str, Any] | None = None,
     sensor: str | None = None,
     variant: str | None = None,
     uncertainty: int | None = None,
     sobol: int | None = None,
+    quick: bool = False,
+    smaller_than_um: Sequence[float] = (),
 ) -> ComparisonJob:
     """Choose what a comparison leaves open, and check everything that can be checked before a render.
 
     match : None means `view`, and another one as a further condition
+    repeats : pairs of frames; None means `USUAL_REPEATS`
     config, options : settings for all sensors, as tables; they take precedence over those of the study, but not of its conditions.
-        Options may have axes and conditions, in place of those of the study
+        Both may have what only a study has, as axes and conditions, in place of those of the study
     uncertainty, sobol : sensor types to draw, or points of total indices
+    quick : take the overrides NAME.quick.toml of the study, and fewer pairs
+    smaller_than_um : a question to a study, which is refused
 
     Raises PixsimError for invalid input.
     """
     sources = [str(file) for file in files]
     check_files(sources)
+    if repeats is None:
+        repeats = QUICK_REPEATS if quick else USUAL_REPEATS
     if not REPEATS[0] <= repeats <= REPEATS[1]:
         raise invalid("repeats", repeats, f"{REPEATS[0]} to {REPEATS[1]} pairs of frames")
-    layers, options = [settings_layer(path) for path in config], dict(options or {})
+    parts = [parts_of_study(layer) for layer in (*config_layers(config), Layer(dict(options or {})))]
+    *layers, of_options = [of_run for of_run, _ in parts]
+    options = of_options.table
+    varied = [of_study for _, of_study in parts if of_study.table]
+    check_asked("comparison", smaller_than_um=smaller_than_um, paper=parts[-1][1].table.get("paper"))
     plan, lens, file, source = None, Layer({}), "csf" if scene is None else str(scene), ""
     not_used: tuple[str, ...] = ()
-    varied: dict[str, Any] = {name: options.pop(name) for name in ("axis", "condition") if name in options}
     if study is not None or varied:
-        stated, plan = study_of(study or Study.model_validate({"name": "comparison", "scene": {"file": file}}))
-        if varied:
-            plan = checked_study([stated, Layer(varied)])
-        plan, source = with_range_ends(plan), stated.source
+        stated = study_of(study or Study.model_validate({"name": "comparison", "scene": {"file": file}}), quick)
+        plan = with_range_ends(checked_study([stated, *varied]))
+        source = stated.source
         not_used = not_used_of(stated.table, scene is not None)
         if scene is not None:
             stated = Layer({name: value for name, value in stated.table.items() if name != "scene"}, stated.source)
@@ -536,6 +605,8 @@ def prepare(
         camera = {name: value for name, value in stated.table.get("camera", {}).items() if name not in OF_DIE}
         of_lens = {"camera": camera, "lens": stated.table.get("lens", {})}
         lens = Layer({name: table for name, table in of_lens.items() if table}, stated.source)
+    if study is None and plan is not None and not plan.has_cases and plan.detail is None:
+        plan = None  # nothing of it holds for a comparison
     base = read_sensors(sources, lens, layers, options)
     combined = stated_cases(sources, lens, layers, options, file, plan, source)
 
@@ -555,7 +626,7 @@ def prepare(
     everyone = range(len(sources))
     groups = groups_of(everyone, chosen)
     given = [stated.sensors for under in combined for stated in under]
-    _warn_of_settings_without_effect(given, [group.cases for group in groups], chosen)
+    _warn_of_settings_without_effect(given, [group.cases for group in groups], chosen, unused_settings(varied, STUDY_ALONE))
     with without_warnings():  # those of all sensors are shown
         further = [] if match else groups_of(everyone, OTHER_MATCH[chosen])
         if all(own.sees_the_same(other) for own, other in zip(groups, further, strict=False)):

@@ -21,7 +21,6 @@ from pixsim.base.progress import Progress, Stage, no_stage
 from pixsim.base.toml import SETTINGS_FILE
 from pixsim.light.spectral import DIGEST, SpectralImage
 from pixsim.light.stored import PictureFile
-from pixsim.optics.camera import Camera
 from pixsim.scene.packaged import packaged_scenes
 from pixsim.sensor.labels import label_of
 from pixsim.show.sentences import few
@@ -29,16 +28,15 @@ from pixsim.studies.cost import jobs_in_memory, largest_frame_bytes
 from pixsim.studies.design import Case, check_number, warn_of_reviews
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluate import Counts, LitCase, check_ideals, evaluate_points, ideal_facts, lit_cases
-from pixsim.studies.files import load_study, scene_table, settings_text, spreads_of_study, uncertainty_of
+from pixsim.studies.files import load_study, scene_table, settings_text, spreads_of_study, tables_of_python, uncertainty_of
 from pixsim.studies.lights import Light, render_lights
-from pixsim.studies.prepare import StudyJob, prepare
+from pixsim.studies.prepare import StudyJob, check_given_light, prepare
 from pixsim.studies.result import CasesResult, Curve, StudyResult, causes_of_curve, curve_of
 from pixsim.studies.rounds import Rounds, on_first_display
 from pixsim.studies.settings import Study
 from pixsim.studies.sizes import DisplayOptimum
 from pixsim.studies.store import check_replaceable_results
 from pixsim.studies.table import DOTS, Table
-from pixsim.viewer.metric_registry import names_of
 from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.score import Score
 from pixsim.viewer.screen import warn_of_clipping
@@ -282,12 +280,9 @@ def study(
     >>> result.curves[0].delta_e.shape, bool(result.curves[0].delta_e.mean(axis=1).argmin() == 0)  # (pitches, sensors)
     ((5, 2), True)
     """
-    if metrics:
-        settings["metrics"] = names_of(metrics)
-    if isinstance(own := settings.get("camera"), Camera):
-        settings["camera"] = own.options.model_dump(exclude_none=True)
-    if light is not None and (names := [name for name, value in (("scene", scene), ("parameters", parameters)) if value]):
-        raise invalid(names[0], "a value beside light", "one of the two")
+    settings = tables_of_python(settings, metrics)
+    if light is not None:
+        check_given_light(scene=scene, parameters=parameters)
     if light is None and without is not None:
         raise invalid("without", "a value without light", f"light beside it; of a scene, {setting('metric.detectability.without')}")
     given = {"config": config, "parameters": parameters, "pixel": pixel, "scene": scene, "quick": quick} | settings

@@ -2,42 +2,59 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
 from typing import Any
 
 from pixsim.base.arguments import Count, Jobs, Whole, checks_arguments
 from pixsim.base.errors import invalid, name_fault
+from pixsim.base.files import output_folder
+from pixsim.base.layers import Layer
 from pixsim.base.notes import collected_notes, warn
+from pixsim.base.progress import Stage, no_stage
+from pixsim.base.records import checked
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
-from pixsim.sensor.correction_options import NO_CORRECTION, Correction
+from pixsim.optics.camera_lens import camera_with_lens
+from pixsim.optics.exchange import camera_of_light
+from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.infrared import light_notes
 from pixsim.sensor.integration import array_size_um
-from pixsim.sensor.motion_options import STILL, Motion
+from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.sensor.technology import load_technology
-from pixsim.sensor.unit_slips import unit_slips
-from pixsim.studies.design import Case, named
-from pixsim.studies.engine import workers_here
-from pixsim.studies.evaluate import check_ideals, evaluate_points, lit_cases
+from pixsim.studies.design import BASE, Case, check_number, named, warn_of_reviews, with_range_ends
+from pixsim.studies.drawn_types import Asked, Types, asked_of
+from pixsim.studies.engine import Workers, workers_for
+from pixsim.studies.evaluate import LitCase, check_ideals, evaluate_points, lit_cases
+from pixsim.studies.files import checked_study, config_layers, tables_of_python
+from pixsim.studies.layers import STUDY_ALONE, check_asked, parts_of_study, unused_settings
 from pixsim.studies.lights import Light
+from pixsim.studies.prepare import check_axis_names, check_given_light, check_metrics, of_given_light
 from pixsim.studies.result import causes_of_frames
+from pixsim.studies.sensors import circumstances
+from pixsim.studies.settings import Study
+from pixsim.studies.sizes import metrics_of
+from pixsim.studies.store import check_replaceable_results
 from pixsim.studies.table import Table
-from pixsim.viewer.develop_options import DEVELOP, Develop, check_develop
+from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display import dot_edges_um, picture_size_um
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
-from pixsim.viewer.metric_registry import metrics_named
-from pixsim.viewer.metrics import MetricContext, MetricRequest
-from pixsim.viewer.review import background_notes, camera_notes
+from pixsim.viewer.metric_options import MetricOptions
+from pixsim.viewer.scene_light import SceneLight
 from pixsim.viewer.score import Score
 from pixsim.viewer.screen import IdealFacts, warn_of_clipping, white_header, with_white
 from pixsim.viewer.setting import Run
-from pixsim.viewer.without_effect import GivenSettings, warn_of_settings_without_effect
+from pixsim.viewer.without_effect import CommandFacts, GivenSettings, warn_of_settings_without_effect
 
-PIXEL = "pixel"
+PIXEL, DRAW = "pixel", "draw"  # labels, before those of axes and conditions
+USUAL_REPEATS = 1
+OF_RENDER = ("tolerance_e", "render_noise", "resolution", "max_seconds")  # that is given
+NOT_TAKEN = (*STUDY_ALONE, "detail", "noise_budget", "quick", "resolution")  # settings of a study that change nothing in a sweep
+ONLY_OF_SCENE = ("window_mm", "tolerance_delta_e")
+RECORDS = ("exposure", "display", "correction", "motion", "develop", "metric", "camera")  # arguments that may be tables
 
 
 @checks_arguments
@@ -45,18 +62,34 @@ def sweep(
     light: SpectralImage,
     pixels: Mapping[str, Pixel] | Sequence[Pixel],
     *,
-    camera: Camera,
-    exposure: Exposure | None = None,
-    display: Display | None = None,
-    correction: Correction | None = None,
-    motion: Motion | None = None,
-    develop: Develop | None = None,
-    metrics: Sequence[str | Callable[[Score], float]] = ("delta_e",),
-    metric: MetricOptions | None = None,
+    camera: Camera | Mapping[str, Any] | None = None,
+    exposure: Exposure | Mapping[str, Any] | None = None,
+    display: Display | Mapping[str, Any] | None = None,
+    correction: Correction | Mapping[str, Any] | None = None,
+    motion: Motion | Mapping[str, Any] | None = None,
+    develop: Develop | Mapping[str, Any] | None = None,
+    metrics: Sequence[str | Callable[[Score], float]] = (),
+    metric: MetricOptions | Mapping[str, Any] | None = None,
     without: SpectralImage | None = None,
-    repeats: Count = 1,
-    seed: Whole = 0,
+    repeats: Count | None = None,
+    seed: Whole | None = None,
+    config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
+    pixel: Mapping[str, Any] | None = None,
+    quick: bool = False,
     jobs: Jobs | None = None,
+    scheduler: object = None,
+    progress: Stage | None = None,
+    agreed: bool = False,
+    out: str | os.PathLike[str] | None = None,
+    uncertainty: int | None = None,
+    sobol: int | None = None,
+    smaller_than_um: Sequence[float] = (),
+    axis: Sequence[Mapping[str, Any]] = (),
+    condition: Sequence[Mapping[str, Any]] = (),
+    scene: str | os.PathLike[str] | None = None,
+    parameters: Mapping[str, float | int | str] | None = None,
+    variant: str | None = None,
+    **settings: object,
 ) -> Table:
     """Evaluate many sensors in one light, rendered or of another program.
 
@@ -65,12 +98,27 @@ def sweep(
     pixels of one size have the numbers of `evaluate`, and smaller ones among larger ones those of fewer dots.
 
     pixels : of each sensor; a list, or names -> pixels
-    camera, exposure, display, correction, develop, motion, metric, without : as of `pixsim.evaluate`
+    camera : of all; None means that of the light's header, or the default; a table is over it
+    exposure, display, correction, develop, motion, metric, without : as of `pixsim.evaluate`, or tables as of `pixsim.study`
     metrics : names of metrics, or functions of a Score that return a number; each has its columns. One that has no number for a
-        frame, as NIIRS for one that is overexposed, is NaN, with a warning that says why
-    repeats : sensors of each kind
-    seed : of the fixed patterns and the temporal noise
+        frame, as NIIRS for one that is overexposed, is NaN, with a warning that says why. None means ΔE
+    repeats : sensors of each kind; None means 1
+    seed : of the fixed patterns and the temporal noise; None means 0
+    config : one or more TOML files with settings of all sensors, which take precedence over the numbers of `pixels`
+    pixel : fields of all pixels, as {"bits": 12}
     jobs : processes; None means one per core, where they are worth it. The results do not depend on it
+    scheduler : address of a Dask scheduler (tcp://host:8786) or a distributed.Client, whose workers replace local processes
+    progress : returns a callback for each named stage
+    agreed : whether a sweep with axes or sensor types may take more than 100 000 evaluations
+    out : folder whose results.csv keeps the numbers of each frame, so that an interrupted sweep goes on. None keeps nothing
+    uncertainty : sensor types to draw of each pixel from the ranges of its technology; rounded up to a power of two. The column
+        `draw` tells them from the pixels as they are, `base`; further columns have the numbers that were drawn
+    sobol : in its place, number of points for total indices, which take sobol × (inputs + 2) sensor types
+    axis, condition : tables of a study, whose values are columns: axis=[{"name": "light", "set": "exposure.integration_s",
+        "values": [0.01, 0.1]}]. Pixels of one combination share white and dots
+    scene, parameters, variant, smaller_than_um : of `pixsim.study`, each in its unit; they have no meaning in light that is given,
+        or in a sweep, and are refused
+    quick, settings : of `pixsim.study`; what decides nothing on a sweep is named in a warning
 
     Raises PixsimError as `evaluate` does, with the pixel's name or its place in the list, from 0.
 
@@ -86,90 +134,170 @@ def sweep(
     for name in by_name:
         if not isinstance(name, int) and (fault := "is empty" if not name else name_fault(name)):
             raise invalid("pixels", f"a name that {fault}: {name!r:.80}", "names for a column of a table")
-    request = MetricRequest(metrics_named(metrics), metric or METRIC_OPTIONS)
-    asked: dict[Any, Imaging] = {}
-    for name, pixel in by_name.items():
-        with named(f"pixel {name}"):
-            asked[name] = Imaging(
-                camera,
-                pixel,
-                load_technology(pixel.technology),
-                exposure or Exposure(),
-                display or Display(),
-                correction=correction or NO_CORRECTION,
-                develop=develop or DEVELOP,
-                motion=motion or STILL,
-                metrics=request,
-                is_run=True,
-            )
-    with collected_notes():
-        for note in (*background_notes(request.names, without), *camera_notes(camera, light)):
-            warn(note)
-        check_pixels(asked, light, has_background=without is not None)
-        warn_of_settings_without_effect({"": (GivenSettings.of_records(imaging, light) for imaging in asked.values())})
+    check_asked("sweep", smaller_than_um=smaller_than_um, paper=settings.get("paper"), noise_budget=settings.get("noise_budget"))
+    check_given_light(scene=scene, parameters=parameters)
+    records = dict(zip(RECORDS, (exposure, display, correction, motion, develop, metric, camera), strict=True))
+    tables = records | {"pixel": pixel, "seed": seed, "axis": list(axis), "condition": list(condition)} | settings
+    stated = {name: value for name, value in tables.items() if value is not None and value != []}
+    layers = [*config_layers(config), Layer(tables_of_python(stated, metrics))]
+    light, without = light.identified, None if without is None else without.identified  # once for all cases
 
-        # All are scored on the dots that the largest pixels leave, with one white.
-        border_um = max(imaging.scored_border_um for imaging in asked.values())
-        scored = {name: imaging.changed(border_um=border_um) for name, imaging in asked.items()}
-        white = white_header([(imaging, light) for imaging in scored.values()])
-        scored = {name: imaging.changed(display=with_white(imaging.display, white)) for name, imaging in scored.items()}
-        first, *_ = scored.values()
+    with collected_notes(), ExitStack() as stack:
+        plan, of_all = sweep_plan(layers, variant)
+        unused = unused_settings(layers, NOT_TAKEN) + ["quick"] * quick
         cases = [
-            Case(
-                Run(pixel=imaging.pixel, seed=seed),
-                sensor=imaging.physics.technology.name,
-                labels={PIXEL: name},
-                group=0,
-                imaging=imaging,
-                stream=("evaluate", seed),
-                stream_has_pitch=False,
-                sizes={imaging.pixel.pitch_um: repeats},
-            )
-            for name, imaging in scored.items()
+            replace(case, sizes={case.settings.pixel.pitch_um: repeats or USUAL_REPEATS})
+            for case in prepare_cases(light, by_name, camera, plan, of_all, without, unused)
         ]
-        lit = lit_cases(cases, [Light(light.identified, camera, without=without)] * len(cases))
+        asked = asked_of(uncertainty, sobol, (), {})
+        if asked is not None:
+            cases = with_types(cases, asked)
+        check_number(len({case.group for case in cases}), sum(sum(case.sizes.values()) for case in cases), agreed)
+
+        results = None
+        if out is not None:
+            results = stack.enter_context(output_folder(out)) / "results.csv"
+            check_replaceable_results(results)
+        workers: Workers | None = None
+        if jobs is not None or scheduler is not None:
+            workers = stack.enter_context(workers_for(jobs, scheduler))
+        lit = lit_cases(cases, [Light(light, case.camera, without=case.without) for case in cases])
         check_ideals(lit)
-        table = evaluate_points(lit, None, None if jobs is None else workers_here(jobs))
-        of_light: dict[object, IdealFacts] = {}
-        for one, rows in zip(lit, table.by_case(), strict=True):
-            where = f"pixel {one.case.labels[PIXEL]}"
-            for reason in dict.fromkeys(rows.reasons.values()):
-                warn(f"{where}: {reason}")
-            if not len(rows.possible):
-                continue
-            if one.light_id not in of_light:
-                of_light[one.light_id] = one.scenes.ideal_facts(one.light_key, one.imaging)
-            for cause in causes_of_frames(light, one.imaging, of_light[one.light_id].lightness, rows.possible):
-                if cause.leaves_nothing:
-                    warn(f"{where}: {cause}")
-        warn_of_clipping(max((facts.beyond_white for facts in of_light.values()), default=0.0), light.header, first.display)
+        stage = progress or no_stage
+        table = evaluate_points(lit, results, workers, lambda: stage("evaluate"))
+        warn_of_frames(lit, table, light)
     return table
 
 
-def check_pixels(asked: Mapping[Any, Imaging], light: SpectralImage, *, has_background: bool) -> None:
-    """Raise PixsimError for one of several pixels, by its name, as `check_pixel`; warn of doubtful numbers and stacks."""
-    for name, imaging in asked.items():
-        with named(f"pixel {name}"):
-            check_pixel(imaging, light, has_background=has_background)
-        for note in unit_slips(imaging.pixel):
-            warn(f"pixel {name}: {note}")
-        for note in light_notes(imaging.physics, imaging.camera, light):
-            warn(note)
+def sweep_plan(layers: Sequence[Layer], variant: str | None) -> tuple[Study, list[Layer]]:
+    """Return a study with the axes and conditions of a sweep, and the settings of all of its sensors as tables of `Run`.
 
+    layers : of files and of what was given in Python
 
-def check_pixel(imaging: Imaging, light: SpectralImage, *, has_background: bool) -> None:
-    """Raise PixsimError for a pixel that a metric, its development or the dots of the display do not allow.
-
-    has_background : whether there is light of the scene without its target
+    Raises PixsimError for what only light of a scene has.
     """
-    imaging.metrics.check(MetricContext(imaging.pixel.colour is not None, has_background))
-    check_develop(imaging.develop, imaging.pixel)
+    parts = [parts_of_study(layer) for layer in layers]
+    of_all = [of_run for of_run, _ in parts]
+    of_scene = {name: value for layer in of_all for name, value in layer.table.items() if name in ONLY_OF_SCENE}
+    plan = checked_study([Layer({"name": "sweep"} | of_scene), *(of_study for _, of_study in parts)])
+    return with_range_ends(of_given_light(plan, variant)), of_all
+
+
+def prepare_cases(
+    light: SpectralImage,
+    pixels: Mapping[Any, Pixel],
+    camera: Camera | Mapping[str, Any] | None,
+    plan: Study,
+    of_all: Sequence[Layer],
+    without: SpectralImage | None,
+    unused: Sequence[str],
+) -> list[Case[Run]]:
+    """Return each pixel at each combination of the axes and under each condition, checked, with white and border in common.
+
+    camera : as it was given
+    plan, of_all : of `sweep_plan`
+    unused : names of settings that change nothing in a sweep
+
+    Raises PixsimError with the name of the pixel.
+    """
+    cases: list[Case[Run]] = []
+    given: list[GivenSettings] = []
+    for place in (place for under in circumstances(plan) for place in under):
+        labels = {name: ", ".join(filter(None, (f"pixel {name}", place.words))) for name in pixels}
+        group: list[Case[Run]] = []
+        for name, pixel in pixels.items():
+            with named(labels[name]):
+                table = Layer({"pixel": pixel.model_dump(exclude_unset=True)})
+                run: Run = checked(Run, [table, *of_all, *([place.layer] if place.layer else [])])
+                group.append(place.placed(prepared_case(run, light, camera), **{PIXEL: name}))
+            given.append(given_settings(group[-1], light, unused, has_background=without is not None))
+        records = [case.settings.pixel for case in group]
+        background = check_metrics(group[0].settings, records, light, without, names=list(labels.values()))
+        cases += (replace(case, without=background) for case in with_one_screen(group, light, len(cases)))
+    check_axis_names(plan, metrics_of(cases[0].settings).chosen, PIXEL, DRAW)
+    warn_of_reviews((f"pixel {case.labels[PIXEL]}", case, SceneLight(light, without)) for case in cases)
+    warn_of_settings_without_effect({"": given})
+    return cases
+
+
+def given_settings(case: Case[Run], light: SpectralImage, unused: Sequence[str], *, has_background: bool) -> GivenSettings:
+    """Return the settings of a sensor, of which some may have no effect.
+
+    unused : names of settings that change nothing in a sweep
+    has_background : whether light without the target is given, so that a file of it does not count
+    """
+    run = case.settings
+    settings = GivenSettings.of_records(imaging_of_case(case), light)
+    names = *settings.names, *unused, *(name for name in OF_RENDER if name in run.model_fields_set)
+    facts = CommandFacts(settings=None if has_background else run, picture=light, judges_run=False, not_taken=NOT_TAKEN)
+    return replace(settings, names=tuple(dict.fromkeys(names)), command=facts)
+
+
+def prepared_case(run: Run, light: SpectralImage, camera: Camera | Mapping[str, Any] | None) -> Case[Run]:
+    """Return a sensor in light that is given. Raises PixsimError for one that the dots of the display do not allow."""
+    if isinstance(camera, Camera):
+        lens = run.lens if run.lens.model_fields_set else None
+        whole = camera if lens is None else camera_with_lens(camera, run.camera, lens)
+    else:
+        whole = camera_of_light(light, run.camera, run.lens)
+    imaging = Imaging.of(run, whole).changed(metrics=metrics_of(run), is_run=True)
     physics = imaging.physics
-    dot_edges_um(
-        picture_size_um(light),
-        physics.read_pitch_um,
-        imaging.display,
-        imaging.scored_border_um,
-        array_size_um(light, imaging.camera),
-        physics.registration,
+    size_um, array_um = picture_size_um(light), array_size_um(light, whole)
+    dot_edges_um(size_um, physics.read_pitch_um, imaging.display, imaging.scored_border_um, array_um, physics.registration)
+    return Case(
+        run,
+        sensor=imaging.technology.name,
+        resolved=(light, whole),
+        imaging=imaging,
+        stream=("evaluate", run.seed),
+        stream_has_pitch=False,
+        sizes={run.pixel.pitch_um: USUAL_REPEATS},
     )
+
+
+def imaging_of_case(case: Case[Run]) -> Imaging:
+    """Return what lies between the light and the score of a case that is prepared."""
+    assert case.imaging is not None
+    return case.imaging
+
+
+def with_one_screen(cases: Sequence[Case[Run]], light: SpectralImage, group: int) -> Iterator[Case[Run]]:
+    """Yield cases that are scored on the dots that the largest pixels leave, with one white."""
+    border_um = max(imaging_of_case(case).scored_border_um for case in cases)
+    imagings = [imaging_of_case(case).changed(border_um=border_um) for case in cases]
+    white = white_header([(imaging, light) for imaging in imagings])
+    for case, imaging in zip(cases, imagings, strict=True):
+        yield replace(case, group=group, imaging=imaging.changed(display=with_white(imaging.display, white)))
+
+
+def with_types(cases: Sequence[Case[Run]], asked: Asked) -> list[Case[Run]]:
+    """Return cases and their sensor types, whose labels say the draw and its numbers. Raises PixsimError if nothing is unknown."""
+    first = [replace(case, sensor=str(case.labels[PIXEL])) for case in cases if case.group == cases[0].group]
+    types = Types.of(asked, first)
+    unknowns = [unknown for members in types.sample.inputs.values() for unknown in members]
+    as_is = {DRAW: BASE} | {unknown.name: unknown.value for unknown in unknowns}
+    typed = [replace(case, labels=case.labels | as_is) for case in cases]
+    for number, case in enumerate(cases):
+        imagings = types.imagings(str(case.labels[PIXEL]), imaging_of_case(case))
+        for draw, imaging in enumerate(imagings):
+            labels = case.labels | {DRAW: draw} | types.sample.draws[draw]
+            typed.append(replace(case, labels=labels, group=(number, draw), imaging=imaging))
+    return typed
+
+
+def warn_of_frames(cases: Sequence[LitCase], table: Table, light: SpectralImage) -> None:
+    """Warn of pixels without numbers, of causes that leave nothing of a frame, and of what the display clips."""
+    of_light: dict[object, IdealFacts] = {}
+    for lit, rows in zip(cases, table.by_case(), strict=True):
+        where = ", ".join(filter(None, (f"pixel {lit.case.labels[PIXEL]}", lit.case.words)))
+        for reason in dict.fromkeys(rows.reasons.values()):
+            warn(f"{where}: {reason}")
+        if not len(rows.possible):
+            continue
+        if lit.light_id not in of_light:
+            of_light[lit.light_id] = lit.scenes.ideal_facts(lit.light_key, lit.imaging)
+        for cause in causes_of_frames(light, lit.imaging, of_light[lit.light_id].lightness, rows.possible):
+            if cause.leaves_nothing:
+                warn(f"{where}: {cause}")
+    brightest = max((facts.beyond_white for facts in of_light.values()), default=0.0)
+    warn_of_clipping(brightest, light.header, cases[0].imaging.display)

@@ -442,7 +442,6 @@ class CommandFacts:
     settings : of the command; None for a call with records
     picture : light that is given; None for light that is rendered
     judges_run : whether it makes one frame, of which it may look for the target that is just seen
-    has_noise_budget : whether it tells one
     adds_sensors, may_refine : whether a study adds sizes and sensors, and whether it may be told not to
     other_lens : names of settings of another camera and lens than those that all sensors of a comparison have
     not_taken : names of settings and tables that the command does not take
@@ -452,7 +451,6 @@ class CommandFacts:
     settings: Setting | None = None
     picture: SpectralImage | None = field(default=None, repr=False)
     judges_run: bool = True
-    has_noise_budget: bool = True
     adds_sensors: bool = True
     may_refine: bool = True
     other_lens: tuple[str, ...] = ()
@@ -625,8 +623,7 @@ ROWS = (
     # It is not rendered.
     Row(("tolerance_e", "render_noise", "max_seconds"), _costs),
     Row((*(f"camera.{name}" for name in CAMERA_OF_RENDER), "lens.relative_illumination"), _is_of_render),
-    # It has one target, which no parameter states, and no noise budget.
-    Row(("noise_budget",), lambda given, _: given.command.has_noise_budget),
+    # It has one target, which no parameter states.
     Row(
         ("metric.detectability.without",),
         lambda given, _: has_target(given.imaging.metrics.names) and given.command.settings is not None,

@@ -20,7 +20,7 @@ from pixsim.viewer.setting import Run
 FUNCTIONS: dict[str, tuple[Callable[..., Any], type[BaseModel] | None]] = {
     "run": (pixsim.run, Run),
     "study": (pixsim.study, Study),
-    "compare": (pixsim.compare, Run),
+    "compare": (pixsim.compare, Study),
     "datasheet": (pixsim.datasheet, None),
     "accuracy": (pixsim.accuracy, None),
     "sfr": (pixsim.sfr, None),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import math
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,6 @@ from scipy import stats
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.cli import commands
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import LENS_HEADER, Tiling, traced_lens
 from pixsim.scene.charts import MAX_LP_PER_MM
@@ -188,9 +186,17 @@ def test_own_exposure_and_shared_settings(tmp_path: Path) -> None:
     assert made.display.gamma == 2.2
 
 
-def test_comparison_says_that_it_has_no_noise_budget(tmp_path: Path) -> None:
-    with pytest.warns(UserWarning, match="^noise_budget changes nothing here"):
-        prepared([sheet(tmp_path / "a.toml"), sheet(tmp_path / "b.toml")], noise_budget=True)
+def test_noise_budget_is_that_of_each_sensor_s_first_frame(tmp_path: Path) -> None:
+    """Its parts add up to the mean ΔE of that frame; the variances of two sensors differ by those of their read noise."""
+    files = [sheet(tmp_path / "a.toml"), sheet(tmp_path / "noisy.toml", 30.0)]
+    result = pixsim.compare(files, parameters=DIM, repeats=2, jobs=1, match="view", noise_budget=True, **SMALL)
+    noise_e = []
+    for sensor in result.sensors:
+        assert sensor.budget is not None
+        assert sum(sensor.budget.parts.values()) == pytest.approx(sensor.score.mean_delta_e, rel=1e-9)
+        assert sensor.as_dict()["noise_budget"] == sensor.budget.as_dict()
+        noise_e.append(sensor.budget.total_e)
+    assert noise_e[1] ** 2 - noise_e[0] ** 2 == pytest.approx(30.0**2 - 3.0**2, rel=1e-9)
 
 
 def test_bursts_and_motion_are_told_of_those_that_have_them(tmp_path: Path) -> None:
@@ -473,13 +479,6 @@ def test_comparison_shows_itself_in_a_notebook(noisy: Comparison):
 
 
 # --- what a study accepts ---------------------------------------------------------------------------------------------------
-
-
-def test_compare_accepts_what_a_study_accepts() -> None:
-    """All options of `pixsim study` but those of pixel sizes, of its rounds, and of its page's figures."""
-    of_sizes = {"pitch", "refine", "quick", "smaller_than", "yes", "figures", "noise_budget", "study"}
-    options = [set(inspect.signature(command).parameters) for command in (commands.study, commands.compare)]
-    assert options[0] - options[1] == of_sizes - {"study"}
 
 
 def test_axes_and_conditions_of_options_are_those_of_a_study(tmp_path: Path) -> None:

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from pixsim import Camera, Display, Exposure, Pixel, PixsimError, SpectralImage, evaluate, sweep
+from pixsim.sensor.technology import load_technology
+from pixsim.studies import evaluate as evaluate_module
 from pixsim.studies.run import prepare, run_prepared
 from pixsim.viewer.setting import Run
 
@@ -139,3 +141,57 @@ def test_table_is_rows_csv_and_frame(light, tmp_path, monkeypatch):
 def test_what_cannot_be_swept_says_why(light, pixels, more, message):
     with pytest.raises(PixsimError, match=message):
         sweep(light, pixels, camera=CAMERA, display=DISPLAY, **more)
+
+
+# --- what a study takes -------------------------------------------------------------------------------------------------------
+
+
+def without_labels(rows, *labels):
+    return [{name: value for name, value in row.items() if name not in labels} for row in rows]
+
+
+def test_rows_of_axes_and_conditions_are_those_of_sweeps_with_their_settings(light):
+    own = {"camera": CAMERA, "display": DISPLAY, "seed": 3, "jobs": 1}
+    axis = {"name": "bits", "set": "pixel.bits", "values": [6, 10]}
+    condition = {"name": "short", "set": {"exposure": {"integration_s": 1e-4}}}
+    table = sweep(light, SAME_SIZE, axis=[axis], condition=[condition], **own)
+    assert [(row["pixel"], row["bits"], row["condition"]) for row in table] == [
+        (name, bits, "short") for bits in (6, 10) for name in SAME_SIZE
+    ]
+    for bits, rows in ((6, table[:2]), (10, table[2:])):
+        alone = sweep(light, SAME_SIZE, pixel={"bits": bits}, exposure=Exposure(integration_s=1e-4), **own)
+        assert without_labels(rows, "bits", "condition") == list(alone)
+
+
+def test_tables_and_files_state_what_records_state(light, tmp_path):
+    """Bit for bit; an argument takes precedence over a file."""
+    own = {"camera": CAMERA, "jobs": 1}
+    file = tmp_path / "settings.toml"
+    file.write_text("[display]\ndots = 48\nwhite_cd_per_m2 = 3000.0\n[exposure]\nwell_target = 0.5\n", encoding="utf-8")
+    of_records = sweep(light, SAME_SIZE, display=DISPLAY, exposure=Exposure(well_target=0.8), **own)
+    of_tables = sweep(light, SAME_SIZE, config=file, exposure={"well_target": 0.8}, **own)
+    assert list(of_tables) == list(of_records)
+
+
+def test_sensor_types_are_further_rows_within_the_ranges_of_the_technology(light):
+    own = {"camera": CAMERA, "display": DISPLAY, "seed": 3, "jobs": 1}
+    pixels = {"old": SAME_SIZE["paper"]}
+    table, plain = sweep(light, pixels, uncertainty=8, **own), sweep(light, pixels, **own)
+    technology = load_technology("0.35um")
+    numbers = {f"old {name}" for name in technology.ranges}
+    as_is, types = [row for row in table if row["draw"] == "base"], [row for row in table if row["draw"] != "base"]
+    assert without_labels(as_is, "draw", *numbers) == list(plain)
+    assert [row["draw"] for row in types] == list(range(8))
+    for name, (low, high) in technology.ranges.items():
+        assert as_is[0][f"old {name}"] == technology.numbers[name]
+        drawn = [row[f"old {name}"] for row in types]
+        assert low <= min(drawn) < max(drawn) <= high
+    assert len({row["mean_delta_e"] for row in types}) == 8
+
+
+def test_interrupted_sweep_goes_on(light, tmp_path, monkeypatch):
+    """With a results.csv of all rows no frame is made."""
+    own = {"camera": CAMERA, "display": DISPLAY, "out": tmp_path / "rows", "jobs": 1}
+    first = list(sweep(light, SAME_SIZE, **own))
+    monkeypatch.setattr(evaluate_module, "evaluate_task", lambda *_: pytest.fail("a frame"))
+    assert list(sweep(light, SAME_SIZE, **own)) == first

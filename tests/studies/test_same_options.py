@@ -1,0 +1,138 @@
+"""What a study takes, a comparison and a sweep take too: each option changes what is made, or a message names it."""
+
+from __future__ import annotations
+
+import inspect
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.sheets import sheet
+from helpers.study_settings import CHANGES
+
+import pixsim
+from pixsim.base.errors import PixsimError
+from pixsim.cli.commands import app
+from pixsim.light.spectral import SpectralImage
+from pixsim.sensor.pixel_options import Pixel
+from pixsim.studies import compare as compare_module, sweep as sweep_module
+from pixsim.studies.engine import Workers
+from pixsim.studies.layers import NOT_ASKED
+from pixsim.studies.settings import Study
+
+LIGHT = SpectralImage(
+    [450.0, 550.0, 620.0],
+    30.0,
+    10.0,
+    data=1e-3 * (1 + np.random.default_rng(1).random((64, 64, 3))).astype(np.float32),
+    header={"diffraction": False, "luminance_cd_per_m2": 3000.0},
+)
+# Arguments of `study`, each with another value than its default; beside the fields of its settings.
+ARGUMENTS: dict[str, Any] = {
+    "config": "sensor.toml", "parameters": {"luminance_cd_per_m2": 5.0}, "pixel": {"bits": 8}, "scene": "flat", "quick": True,
+    "jobs": 1, "scheduler": "tcp://localhost:8786", "variant": "scalar_spectral", "progress": lambda _: lambda _: None,
+    "agreed": True, "uncertainty": 8, "sobol": 8, "smaller_than_um": (3.0,), "metrics": ("delta_e", "acutance"), "light": LIGHT,
+    "without": LIGHT,
+}  # fmt: skip
+STUDY_ONLY_WHERE = {"jobs", "scheduler", "progress", "agreed", "variant"}  # they decide how and where, and change no number
+VALUES = {name: value for name, (value, _) in CHANGES.items()} | ARGUMENTS
+# In light that is given, axes and conditions vary the sensor and what follows it.
+OF_SWEEP: dict[str, Any] = {
+    "axis": ({"name": "time", "set": "exposure.integration_s", "values": (1e-4, 1e-3)},),
+    "condition": ({"name": "dusk", "set": {"exposure": {"integration_s": 1e-4}}},),
+}
+REFUSED = {
+    "compare": {"smaller_than_um", "paper", "light", "without"},
+    # A sweep has light that is given: it refuses what `study(…, light=…)` refuses.
+    "sweep": {"smaller_than_um", "paper", "noise_budget", "scene", "parameters", "variant", "window_mm", "tolerance_delta_e"},
+}
+SUBJECTS, FOLDER = {"plan", "settings"}, {"out"}  # of `study`: what it varies, and where it writes
+
+
+def test_values_are_those_of_all_arguments_and_settings() -> None:
+    assert VALUES.keys() == (inspect.signature(pixsim.study).parameters.keys() - SUBJECTS - FOLDER) | Study.model_fields.keys()
+
+
+def test_options_of_the_command_line_are_those_of_a_study() -> None:
+    """All of `pixsim study` are options of `pixsim compare`."""
+    study, compare = (
+        {name for argument in app[command].assemble_argument_collection() for name in argument.names}
+        for command in ("study", "compare")
+    )
+    assert study <= compare
+
+
+@contextmanager
+def said() -> Iterator[list[str]]:
+    """The messages of a block."""
+    texts: list[str] = []
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        yield texts
+    texts += [str(warning.message) for warning in caught]
+
+
+def made_by_compare(options: dict[str, Any], folder: Path) -> object:
+    """What a comparison would make: its cases."""
+    unsure = "[pixel.uncertainty]\nread_noise_e = { sd = 0.5 }\n" if options.keys() & {"uncertainty", "sobol"} else ""
+    files = [sheet(folder / "a.toml", more=unsure), sheet(folder / "b.toml", 12.0)]
+    job = pixsim.compare(files, **{"resolution": 48, "display": {"dots": 48}} | options)
+    cases = [(case.settings, case.camera, case.imaging, case.sizes, case.labels, case.header) for case in job.cases]
+    return repr((cases, job.types, job.study and (job.study.name, job.study.detail)))
+
+
+def made_by_sweep(options: dict[str, Any], folder: Path) -> object:
+    """What a sweep makes: its rows."""
+    pixels = {"a": Pixel(pitch_um=10.0), "b": Pixel(technology="4t-bsi", pitch_um=10.0)}
+    return repr(list(pixsim.sweep(LIGHT, pixels, **{"display": {"dots": 48}} | options)))
+
+
+MADE = {"compare": made_by_compare, "sweep": made_by_sweep}
+
+
+@pytest.mark.parametrize("name", VALUES)
+@pytest.mark.parametrize("command", MADE)
+def test_option_of_a_study_acts_is_named_or_is_refused(
+    command: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(compare_module, "run_prepared", lambda job, **_: job)
+    asked: list[object] = []
+
+    @contextmanager
+    def workers_for(jobs: int | None, scheduler: object) -> Iterator[Workers]:
+        asked.append((jobs, scheduler))
+        yield Workers()
+
+    monkeypatch.setattr(sweep_module, "workers_for", workers_for)
+    (tmp_path / "sensor.toml").write_text("[exposure]\nwell_target = 0.5\n", encoding="utf-8")
+    make, value = MADE[command], (VALUES | OF_SWEEP if command == "sweep" else VALUES)[name]
+    if command == "sweep" and name == "light":
+        return  # its first argument
+    if name in REFUSED[command]:
+        with pytest.raises(PixsimError, match=rf"^{name}: got a value .*; allowed: ") as error:
+            make({name: value}, tmp_path)
+        assert str(error.value).count("\n") == 0
+        return
+
+    beside = {"metrics": ["delta_e", "detectability"]} if command == "sweep" and name == "without" else {}
+    beside |= {"metrics": ["delta_e", "information"]} if name == "metric" else {}
+    before = make(beside | ({"metrics": ["delta_e"]} if name == "without" else {}), tmp_path)
+    with said() as texts:
+        after = make(beside | {name: value}, tmp_path)
+    is_named = any("nothing here" in text and name in text for text in texts)
+    if name in STUDY_ONLY_WHERE:
+        assert (before == after, is_named) == (True, False)
+    else:
+        assert before != after or is_named, texts
+        assert command == "compare" or before == after or not is_named, "a row differs by what is said to change nothing"
+
+
+def test_refusals_stand_in_one_table() -> None:
+    """Those of a sweep that are not in it are those of every study whose light is given."""
+    of_given_light = {"scene", "parameters", "variant", "window_mm", "tolerance_delta_e"}
+    assert REFUSED["compare"] | REFUSED["sweep"] - of_given_light == NOT_ASKED.keys()
