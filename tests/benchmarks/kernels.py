@@ -143,7 +143,7 @@ def unavoidable(chain: ImagingChain) -> dict[str, Work]:
     normals = [spread for spread in (p.prnu, p.physics.offset_fpn_e, p.noise_floor_e) if spread]
     return {
         "normals": lambda: [rng.standard_normal(out=drawn) for _ in normals],
-        "gamma": lambda: rng.gamma(p.dsnu**-2, p.dsnu**2, mean_e.shape) if p.dsnu else None,
+        "gamma": lambda: rng.gamma(p.dark_spread.dsnu**-2, p.dark_spread.dsnu**2, mean_e.shape) if p.dark_spread.dsnu else None,
         "Poisson": lambda: rng.poisson(mean_e),
         "DCTs": lambda: (dct(first), inverse_dct(planes)),
         "cube roots": roots,

@@ -48,7 +48,7 @@ def injected_dn(experiment: Experiment, signal_e: float) -> tuple[float, float]:
     """Temporal and fixed-pattern noise of a device in DN, from its parameters and maps."""
     p = experiment.readout
     dark_e = p.dark_current_e_per_s * experiment.integration_s
-    temporal_e2 = signal_e + dark_e + p.reset_noise_e**2 + p.read_noise_e**2 + p.read_noise_after_gain_e**2
+    temporal_e2 = signal_e + dark_e + p.physics.reset_noise_e**2 + p.read_noise_e**2 + p.read_noise_after_gain_e**2
     assert experiment.sensor.gain is not None
     pattern_e = dark_map_e(experiment) + signal_e * experiment.sensor.gain
     return math.sqrt(temporal_e2 * p.dn_per_e**2 + 1 / 12), float(pattern_e.std() * p.dn_per_e)
