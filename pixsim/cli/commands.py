@@ -9,7 +9,6 @@ import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -274,7 +273,8 @@ def plan(
     """
     import_less()
     from pixsim.report.outline import plan_document
-    from pixsim.studies.prepare import loaded_scene, plan_of
+    from pixsim.studies.lights import plan_of
+    from pixsim.studies.prepare import loaded_scene
 
     chosen = options.settings(tolerance_e=tolerance_e)
     loaded = loaded_scene(scene, chosen.scene, chosen.resolution, chosen.display, variant=variant, sensor=sensor)
@@ -345,24 +345,26 @@ def study(
         spreads = uncertainty_of(study, config, options.quick)
         if MANY_CASES < (cases := number_of_cases(plan)) <= MAX_CASES:
             common.verbosity.note(f"{cases} cases are checked, each by itself")
-        job = replace(prepare(plan, options.variant), uncertainty=spreads)
+        job = prepare(plan, options.variant)
         asked, types = asked_of(options.uncertainty, options.sobol, options.smaller_than or (), spreads), 0
         if asked is not None:
             types, evaluations = check_types(
-                job.study, [case.settings for case in job.combinations], asked, options.yes or options.dry_run
+                job.complete, [case.settings for case in job.combinations], asked, options.yes or options.dry_run
             )
         if options.dry_run:
             answer(outline_document("study", study_outline(job, jobs, types), folder), options.json)
             return
         check_number(len(job.combinations), job.evaluations, options.yes)
-        names = (axes_files if job.study.has_cases else report_files)(job.study)
+        names = (axes_files if job.complete.has_cases else report_files)(job.complete)
         if asked is not None:
             common.verbosity.note(f"{types} sensor types, at most {evaluations} evaluations")
             names = names | uncertainty_files()
         check_replaceable(folder, names)
         with stages(seconds) as stage:
             with said_what_is_kept(folder):
-                result = run_prepared(job, folder, jobs=jobs, scheduler=scheduler, progress=stage, agreed=options.yes, asked=asked)
+                result = run_prepared(
+                    job, folder, jobs=jobs, scheduler=scheduler, progress=stage, agreed=options.yes, spreads=spreads, asked=asked
+                )
                 stage("report")
                 first = result.cases[0]
                 drawing = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()

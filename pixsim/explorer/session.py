@@ -25,12 +25,15 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.report.run import run_document, run_settings_text
 from pixsim.show.pictures import delta_e_colours, display_codes, png_bytes, scale_end
 from pixsim.show.render import text
-from pixsim.studies.run import LIGHT_FILE, LitRun, RunJob, RunResult, light_run, prepare, score_run
+from pixsim.studies.prepare import Job
+from pixsim.studies.run import LIGHT_FILE, LitRun, RunResult, light_run, prepare, score_run
+from pixsim.studies.sizes import metrics_of
 from pixsim.viewer.metric_registry import METRICS
 from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.scene_light import RecentScenes
 from pixsim.viewer.score import converged
 from pixsim.viewer.screen import HEADER_OF_WHITE
+from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
 
 MOST_LIGHTS, MOST_SENSORS = 3, 2  # in memory; side by side
@@ -89,7 +92,7 @@ class Session:
         self._scenes, self._points = RecentScenes(), dict[str, list[float]]()
         self.presets, self.controls = presets_of(self.config, self.tables), controls_of((), ())
         first = self._job(PageRequest(0, ((0, {}),)), 0)  # bad input is refused before a page opens
-        self.title = first.source if isinstance(self.source, str) else "light in memory"
+        self.title = first.file if isinstance(self.source, str) else "light in memory"
         if first.cases[0].picture is None:
             scene = first.cases[0].scene
             lenses = dict.fromkeys([first.asked.lens.file or NO_LENS, *packaged("data/lenses")])
@@ -168,7 +171,7 @@ class Session:
         tables = with_values(self.presets[place].tables, set_here)
         return self.presets[place], tables | ({"metrics": (DELTA_E.name, *asked.metrics)} if asked.metrics else {})
 
-    def _job(self, asked: PageRequest, number: int) -> RunJob:
+    def _job(self, asked: PageRequest, number: int) -> Job[Run]:
         """Return the prepared run of a sensor."""
         (preset, tables), source = self._settings(asked, number), self.source
         if isinstance(source, SpectralImage):  # a run writes the white into the header of its light
@@ -192,12 +195,12 @@ class Session:
 
         return stage
 
-    def _light_key(self, job: RunJob) -> str:
+    def _light_key(self, job: Job[Run]) -> str:
         """Return what light must have in common to serve for a first picture: all but the accuracy that each pixel asks for."""
         bands = [] if job.cases[0].picture else job.request.plan.bands.edges_nm.tolist()
         return content_hash([job.settings.model_dump(mode="json", include=LIGHT), job.camera.model_dump(mode="json"), bands])
 
-    def _kept(self, job: RunJob) -> LitRun | None:
+    def _kept(self, job: Job[Run]) -> LitRun | None:
         """Return a run for the first picture, by ΔE alone, in light that is known or comes at once; None if it must be rendered."""
         case, key = job.cases[0], self._light_key(job)
         if case.picture is not None and key not in self._lights:
@@ -207,7 +210,10 @@ class Session:
         if key not in self._lights:
             return None
         settings = case.settings.model_copy(update={"metrics": (DELTA_E.name,)})
-        first = replace(job, cases=(replace(case, settings=settings),), repeats=1)
+        assert case.imaging is not None
+        imaging = case.imaging.changed(metrics=metrics_of(settings))
+        case = replace(case, settings=settings, imaging=imaging, sizes=dict.fromkeys(case.sizes, 1))
+        first = replace(job, cases=(case,))
         return LitRun(first, self._lights[key].irradiance, None, self._lights[key].plan)
 
     def _keep(self, lit: LitRun) -> LitRun:
@@ -238,7 +244,7 @@ class Session:
             return found | {"lines": [words], "unsure": "errors not measured yet"}
         preset, tables = self._settings(asked, number)
         flags = [word for name in ("sensor", "variant", "units") if (value := getattr(job, name)) for word in (f"--{name}", value)]
-        own = (job.source, preset.config, tables) if isinstance(self.source, str) else (LIGHT_FILE, (Path(SETTINGS_FILE),), {})
+        own = (job.file, preset.config, tables) if isinstance(self.source, str) else (LIGHT_FILE, (Path(SETTINGS_FILE),), {})
         is_sure = converged(result.light, result.light_limit)
         found |= {"lines": text(run_document(result), LINE).splitlines(), "unsure": "" if is_sure else NOT_CONVERGED}
         return found | {"command": command_words(*own, REPEATS, flags), "settings": run_settings_text(job, result.irradiance)}

@@ -21,18 +21,16 @@ from pixsim.viewer.setting import Effort, Run
 
 if TYPE_CHECKING:
     from pixsim.scene.plan import Plan
-    from pixsim.studies.design import Job
-    from pixsim.studies.prepare import StudyJob
-    from pixsim.studies.run import RunJob
+    from pixsim.studies.prepare import Job
 
 
-def run_outline(prepared: RunJob) -> dict[str, Any]:
+def run_outline(prepared: Job[Run]) -> dict[str, Any]:
     """Return what a run would do; nothing is rendered or written."""
     planned = planned_run(prepared)
-    return common(prepared, prepared.source, prepared.asked.camera) | planned
+    return common(prepared, prepared.file, prepared.asked.camera) | planned
 
 
-def study_outline(job: StudyJob, jobs: int | None = None, types: int = 0) -> dict[str, Any]:
+def study_outline(job: Job[Study], jobs: int | None = None, types: int = 0) -> dict[str, Any]:
     """Return what a study would do; nothing is rendered or written. The arguments are those of `planned_study`."""
     return common(job, job.settings.scene.file, job.settings.camera) | planned_study(job, jobs, types)
 

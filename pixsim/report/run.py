@@ -41,12 +41,14 @@ from pixsim.show.render import PAGE
 from pixsim.show.sentences import rounded, span
 from pixsim.studies.files import settings_text
 from pixsim.studies.merit import NEQ, LightLevel, extent, neq_against_frequency, quanta_of_run
-from pixsim.studies.run import Irradiance, LitRun, RunJob, RunResult, write_irradiance, write_numbers
+from pixsim.studies.run import Irradiance, LitRun, RunResult, repeating_settings, whole_source, write_irradiance, write_numbers
 from pixsim.studies.sentences import FILLED, judged_lines, leads_other, lens_words, run_answers, thin_lens_words, unsure_words
 
 if TYPE_CHECKING:
     from pixsim.light.spectral import SpectralImage
+    from pixsim.studies.prepare import Job
     from pixsim.viewer.noise_budget import NoiseBudget
+    from pixsim.viewer.setting import Run
 
 # Files next to the page, with their descriptions.
 ROWS_FILE = "results.csv"
@@ -166,7 +168,7 @@ def run_document(result: RunResult, warned: Collection[str] = ()) -> Document:
         about=(DELTA_E, camera_words(result), blur_words(result.chain.imaging, result.irradiance, result.chain.moving.longest_um)),
         sections=(budgets_section(budgets_of(result)),),
         data_file="score.json",
-        sources=[Path(result.prepared.source)],
+        sources=[Path(result.prepared.file)],
     )
 
 
@@ -344,13 +346,15 @@ def shown_picture(png: bytes, luminance: Array, name: str) -> Picture:
     return Picture(display_codes(reduced(luminance)), name)
 
 
-def run_settings_text(prepared: RunJob, irradiance: SpectralImage) -> str:
+def run_settings_text(prepared: Job[Run], irradiance: SpectralImage) -> str:
     """Return the text of settings.toml, from which `pixsim run` makes the same numbers again."""
+    imaging = prepared.cases[0].imaging
+    assert imaging is not None
     given = {"sensor": prepared.sensor, "variant": prepared.variant, "units": prepared.units}
     given |= {name: str(value) for name, value in (("repeats", prepared.repeats), ("frames", prepared.frames)) if value > 1}
-    command = ["pixsim", "run", prepared.whole_source, "--config", SETTINGS_FILE, *["--full"] * prepared.full]
+    command = ["pixsim", "run", whole_source(prepared), "--config", SETTINGS_FILE, *["--full"] * imaging.full]
     command += [word for name, value in given.items() if value for word in (f"--{name}", value)]
-    return settings_text(prepared.repeating(irradiance), shlex.join(command))
+    return settings_text(repeating_settings(prepared, irradiance), shlex.join(command))
 
 
 def digest_of_run(lit: LitRun, files: RunFiles = USUAL) -> str:
@@ -359,5 +363,6 @@ def digest_of_run(lit: LitRun, files: RunFiles = USUAL) -> str:
     film = lit.rendered.film.as_dict() if lit.rendered and lit.rendered.film else None
     of_case = prepared.settings, prepared.camera
     own = *of_case, prepared.asked.camera, prepared.repeats, prepared.frames
-    without = prepared.cases[0].without
-    return digest_of_content(files, run_settings_text(prepared, light), light, film, prepared.technology, own, without)
+    imaging, without = prepared.cases[0].imaging, prepared.cases[0].without
+    assert imaging is not None
+    return digest_of_content(files, run_settings_text(prepared, light), light, film, imaging.technology, own, without)

@@ -1,7 +1,7 @@
-"""Cases and jobs: sensors with complete settings, and what tells them from the other ones of a command.
+"""Cases: sensors with complete settings, and what tells them from the other ones of a command.
 
 The axes and conditions of a study make cases of it, each a study of pixel sizes without axes. A study without them is its own only
-case. In a comparison each sensor is a case, under each condition. A job is cases whose scenes and cameras are found and checked.
+case. In a comparison each sensor is a case, under each condition.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.sensor.labels import labels_of
 from pixsim.studies.axes import Axis, AxisPoint, case_folder, check_case_folders
-from pixsim.studies.keys import point_count
 from pixsim.studies.settings import Study
 from pixsim.studies.sizes import technology_of
 from pixsim.studies.table import Label
@@ -61,6 +60,7 @@ class Case(Generic[Settings]):
     others : further displays on which each frame is shown
     stream : how the keys of its random streams begin; then follow the pixel size, if `stream_has_pitch`, and the repeat
     sizes : pixel size in µm -> number of sensors with which it starts
+    frames : that are taken with the first of its sensors; the first frame is scored
     caches_frames : whether its frames may go into the cache
     """
 
@@ -79,6 +79,7 @@ class Case(Generic[Settings]):
     stream: tuple[object, ...] = ()
     stream_has_pitch: bool = True
     sizes: dict[float, int] = field(default_factory=dict, repr=False)
+    frames: int = 1
     caches_frames: bool = False
 
     @property
@@ -122,46 +123,6 @@ class Case(Generic[Settings]):
     def stream_at(self, pitch_um: float) -> tuple[object, ...]:
         """Return the key of its random streams at a pixel size, without the repeat."""
         return (*self.stream, pitch_um) if self.stream_has_pitch else self.stream
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Job(Generic[Settings]):
-    """Cases that are resolved and checked.
-
-    view : display and chart that pixsim chose for the sensor of a data sheet, of `choose_view`
-    sensor, variant : id of the scene's sensor, and variant of Mitsuba, as they were given
-    """
-
-    cases: tuple[Case[Settings], ...]
-    view: Mapping[str, Any] = field(default_factory=dict)
-    sensor: str | None = None
-    variant: str | None = None
-
-    @property
-    def settings(self) -> Settings:
-        """The complete settings of the first case."""
-        return self.cases[0].settings
-
-    @property
-    def camera(self) -> Camera:
-        """The camera of the first case."""
-        return self.cases[0].camera
-
-    @property
-    def combinations(self) -> tuple[Case[Settings], ...]:
-        """The first case of each group."""
-        firsts: dict[object, Case[Settings]] = {}
-        for case in self.cases:
-            firsts.setdefault(case.group, case)
-        return tuple(firsts.values())
-
-    @property
-    def evaluations(self) -> int:
-        """Number of evaluations with which the cases start."""
-        displays = [1 + len(case.others) for case in self.cases]
-        return sum(
-            point_count(count, shown) for case, shown in zip(self.cases, displays, strict=True) for count in case.sizes.values()
-        )
 
 
 @contextmanager

@@ -14,17 +14,18 @@ from pixsim.studies.cost import frame_cost, run_cost, study_cost
 from pixsim.studies.drawn_types import drawn_metrics
 from pixsim.studies.film_error import film_error, samples_per_dot
 from pixsim.studies.keys import light_hash
-from pixsim.studies.lights import LightRequest, light_request
+from pixsim.studies.lights import LightRequest
 from pixsim.studies.run import NOISE_SENSORS
 from pixsim.studies.sizes import study_pitches_um
 
 if TYPE_CHECKING:
     from pixsim.scene.plan import Plan
-    from pixsim.studies.prepare import StudyJob
-    from pixsim.studies.run import RunJob
+    from pixsim.studies.prepare import Job
+    from pixsim.studies.settings import Study
+    from pixsim.viewer.setting import Run
 
 
-def planned_run(prepared: RunJob) -> dict[str, Any]:
+def planned_run(prepared: Job[Run]) -> dict[str, Any]:
     """Return the film, errors, pixels and cost of a run; nothing is rendered."""
     settings, camera, frames, repeats = prepared.settings, prepared.camera, prepared.frames, prepared.repeats
     pitch_um, picture = settings.pixel.pitch_um, prepared.cases[0].picture
@@ -49,13 +50,13 @@ def planned_sensors(technology: str, pitches_um: Sequence[float], sensors: int, 
     return {"technology": technology, "pitch_um": [*pitches_um], "pixels": pixels, "sensors": sensors}
 
 
-def planned_study(job: StudyJob, jobs: int | None = None, types: int = 0) -> dict[str, Any]:
+def planned_study(job: Job[Study], jobs: int | None = None, types: int = 0) -> dict[str, Any]:
     """Return the film, errors, evaluations, cases and cost of a study; nothing is rendered.
 
     jobs : processes; None means as many as it would take
     types : number of sensor types of --uncertainty or --sobol
     """
-    study, request = job.settings, light_request(job.cases[0])
+    study, request = job.settings, job.request
     lights = len({light_hash(case.settings) for case in job.combinations})
     of_cases = [(case.settings, case.camera) for case in job.combinations]
     drawn = types * len(drawn_metrics(study))  # each metric has pixel sizes of its own
@@ -67,7 +68,7 @@ def planned_study(job: StudyJob, jobs: int | None = None, types: int = 0) -> dic
     planned |= {"study": study.name, "evaluations": job.evaluations}
     if types:
         planned["sensor_types"] = types
-    if job.study.has_cases:
+    if job.complete.has_cases:
         planned["cases"] = [{"at": case.at, "condition": case.condition, "alone": case.alone} for case in job.combinations]
     return planned | ({} if study.own_um is None else {"own_um": study.own_um})
 

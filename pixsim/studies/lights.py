@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -18,10 +19,12 @@ from pixsim.base.progress import Progress, Stage, share_of
 from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
+from pixsim.optics.camera_lens import rendered_camera
 from pixsim.scene.convergence import RenderNoise, render_until
 from pixsim.scene.film import fitting_width, largest_film
-from pixsim.scene.plan import Plan
+from pixsim.scene.plan import Plan, decide_oversampling, make_plan, make_render_plan
 from pixsim.scene.scene import Scene
+from pixsim.sensor.collection import check_efficiency
 from pixsim.sensor.labels import label_in
 from pixsim.sensor.motion_options import STILL
 from pixsim.sensor.pixel import PixelPhysics
@@ -32,9 +35,8 @@ from pixsim.studies.design import Case
 from pixsim.studies.engine import Workers, results_of, workers_here
 from pixsim.studies.film_error import FilmError, display_of, measure_film, measured_places
 from pixsim.studies.keys import OF_LIGHT, light_hash
-from pixsim.studies.prepare import first_film, plan_of, study_plan
 from pixsim.studies.settings import Study
-from pixsim.studies.sizes import imaging_of, largest_pixel_um, physics_of, study_pitches_um
+from pixsim.studies.sizes import imaging_of, largest_pixel_um, physics_of, pixel_of, study_pitches_um
 from pixsim.viewer.chain import make_chain
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.imaging import Imaging
@@ -297,16 +299,59 @@ def render_on_film(
         return Light(image, camera, replace(film, limit=limit), noise), plan
 
 
-def light_request(case: Case[Run] | Case[Study], *, full: bool = False) -> LightRequest:
+def smallest_pixels(study: Study) -> list[PixelPhysics]:
+    """Return the smallest pixel of each technology of a study."""
+    return [physics_of(study, name, float(study_pitches_um(study, name).min())) for name in study.technologies]
+
+
+def finest_pixel(study: Study) -> PixelPhysics:
+    """Return the pixel with the smallest photodiode of a study. Raises PixsimError if a stack passes less light than it detects."""
+    smallest = smallest_pixels(study)
+    for physics in smallest:
+        check_efficiency(physics)
+    return min(smallest, key=lambda physics: physics.aperture_side_um)
+
+
+def plan_of(scene: Scene, camera: Camera, settings: Run, full: bool = False) -> Plan:
+    """Return the plan of the render of one frame."""
+    return make_plan(
+        scene,
+        camera,
+        settings.pixel,
+        exposure=settings.exposure,
+        display=settings.display,
+        tolerance_e=settings.tolerance_e,
+        full=full,
+    )
+
+
+def study_plan(scene: Scene, camera: Camera, study: Study) -> Plan:
+    """Return the plan of a study's render."""
+    coloured = [name for name in study.technologies if study.options_of(name).colour is not None]
+    pixels = [pixel_of(study, name, study.pitch.largest_um) for name in coloured]
+    aperture_um = None if camera.lens is None else finest_pixel(study).aperture_side_um
+    return make_render_plan(scene, camera, pixels, aperture_um=aperture_um, tolerance_e=study.tolerance_e, exact=True)
+
+
+def first_film(study: Study, scene: Scene, camera: Camera) -> tuple[Scene, Plan]:
+    """Return the scene on the film of its first render, which is fine enough for the study's smallest photodiode, and its plan."""
+    plan = study_plan(scene, rendered_camera(camera), study)  # the film does not depend on a real lens's blur
+    resolution, _ = decide_oversampling(scene, plan, camera, finest_pixel(study), study.display, full=False)
+    if resolution is None and camera.lens is None:
+        return scene, plan
+    scene = scene if resolution is None else scene.with_resolution(resolution)
+    return scene, study_plan(scene, camera, study)
+
+
+def light_request(case: Case[Any]) -> LightRequest:
     """Return what the pixels of a case ask of its light.
 
     The noise is adequate for the largest pixel that a study allows, the least noisy one, and the film for the smallest photodiode.
     Neither depends on the pitches that are added, so a row does not depend on the others.
-
-    full : whether no effect is left out of the light of a run
     """
     scene, camera, study = case.scene, case.camera, case.settings
     if isinstance(study, Run):
+        full = case.imaging is not None and case.imaging.full
         planned = partial(plan_of, camera=camera, settings=study, full=full)
         return LightRequest(scene, planned(scene), planned, study, study.pixel, [Imaging.of(study, camera)])
     first = study.technologies[0]

@@ -10,8 +10,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
@@ -20,25 +21,21 @@ from pixsim.base.records import content_hash
 from pixsim.base.schema import KEY
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
-from pixsim.optics.camera_lens import rendered_camera
 from pixsim.optics.diffraction import cutoff_cy_per_mm
 from pixsim.optics.exchange import camera_of_light, read_with_camera
 from pixsim.scene.charts import DIE_MM, MAX_LP_PER_MM, MIN_FREQUENCY_LP_PER_MM
 from pixsim.scene.film import GREEN_NM
-from pixsim.scene.plan import Plan, decide_oversampling, make_plan, make_render_plan
 from pixsim.scene.scene import Scene, load_scene
 from pixsim.scene.study_scene import StudyScene
-from pixsim.sensor.collection import check_efficiency
 from pixsim.sensor.integration import MAX_PIXELS, pixels_along, pixels_on
 from pixsim.sensor.labels import label_of, labels_of
-from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.pixel_options import PixelOptions
 from pixsim.sensor.reading import Readout
-from pixsim.sensor.spread import Uncertainty
 from pixsim.sensor.technology import check_name
 from pixsim.studies.axes import paths_of
-from pixsim.studies.design import BASE, Case, Job, cases_of, named, warn_of_reviews, with_range_ends
-from pixsim.studies.keys import frames_fit_in_cache
+from pixsim.studies.design import BASE, Case, Settings, cases_of, named, warn_of_reviews, with_range_ends
+from pixsim.studies.keys import frames_fit_in_cache, point_count
+from pixsim.studies.lights import LightRequest, light_request
 from pixsim.studies.settings import PitchRange, Study
 from pixsim.studies.sizes import (
     BYTES_PER_PIXEL,
@@ -49,7 +46,6 @@ from pixsim.studies.sizes import (
     largest_lens_um,
     metrics_of,
     physics_of,
-    pixel_of,
     study_pitches_um,
     technology_of,
 )
@@ -60,7 +56,7 @@ from pixsim.viewer.metric_options import has_target
 from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, Metric, MetricContext, columns_of_metrics
 from pixsim.viewer.scene_light import check_background
 from pixsim.viewer.screen import allows_single
-from pixsim.viewer.setting import Run, Setting
+from pixsim.viewer.setting import Setting
 from pixsim.viewer.without_effect import warn_of_settings_without_effect
 
 ALLOWED_DOTS = (8, 2048)  # of a display that is chosen; a user may set up to 4096
@@ -221,50 +217,6 @@ def up_to_pitch_digits(pitch_um: float) -> float:
     return math.ceil(pitch_um * 10**PITCH_DIGITS) / 10**PITCH_DIGITS
 
 
-def smallest_pixels(study: Study) -> list[PixelPhysics]:
-    """Return the smallest pixel of each technology of a study."""
-    return [physics_of(study, name, float(study_pitches_um(study, name).min())) for name in study.technologies]
-
-
-def finest_pixel(study: Study) -> PixelPhysics:
-    """Return the pixel with the smallest photodiode of a study. Raises PixsimError if a stack passes less light than it detects."""
-    smallest = smallest_pixels(study)
-    for physics in smallest:
-        check_efficiency(physics)
-    return min(smallest, key=lambda physics: physics.aperture_side_um)
-
-
-def plan_of(scene: Scene, camera: Camera, settings: Run, full: bool = False) -> Plan:
-    """Return the plan of the render of one frame."""
-    return make_plan(
-        scene,
-        camera,
-        settings.pixel,
-        exposure=settings.exposure,
-        display=settings.display,
-        tolerance_e=settings.tolerance_e,
-        full=full,
-    )
-
-
-def study_plan(scene: Scene, camera: Camera, study: Study) -> Plan:
-    """Return the plan of a study's render."""
-    coloured = [name for name in study.technologies if study.options_of(name).colour is not None]
-    pixels = [pixel_of(study, name, study.pitch.largest_um) for name in coloured]
-    aperture_um = None if camera.lens is None else finest_pixel(study).aperture_side_um
-    return make_render_plan(scene, camera, pixels, aperture_um=aperture_um, tolerance_e=study.tolerance_e, exact=True)
-
-
-def first_film(study: Study, scene: Scene, camera: Camera) -> tuple[Scene, Plan]:
-    """Return the scene on the film of its first render, which is fine enough for the study's smallest photodiode, and its plan."""
-    plan = study_plan(scene, rendered_camera(camera), study)  # the film does not depend on a real lens's blur
-    resolution, _ = decide_oversampling(scene, plan, camera, finest_pixel(study), study.display, full=False)
-    if resolution is None and camera.lens is None:
-        return scene, plan
-    scene = scene if resolution is None else scene.with_resolution(resolution)
-    return scene, study_plan(scene, camera, study)
-
-
 def check_technologies(study: Study) -> None:
     """Raise PixsimError for an unknown technology, one that a study has twice, or numbers of one that it does not have."""
     processes: dict[str, str] = {}
@@ -381,29 +333,69 @@ def scene_for(study: Study, variant: str | None = None, known: dict[str, Scene] 
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class StudyJob(Job[Study]):
-    """A study that is prepared.
+class Job(Generic[Settings]):
+    """What a command is asked for, with cases that are resolved and checked.
 
-    asked : as it was given
-    base : with its display and chart, and its axes and conditions; None without any, where the study is its own only case
-    source : scene of the study itself, or the light that is given
-    uncertainty : of the study's [pixel] and data sheets, as its files state it
+    asked : settings as they were given
+    complete : the same, with display and chart; of a study with its axes and conditions
+    file : the scene or the picture, as it was given
+    source : the scene of `complete`, or the picture
+    view : display and chart that pixsim chose for the sensor of a data sheet, of `choose_view`
+    sensor, variant, units : id of the scene's sensor, variant of Mitsuba, and units of a picture, as they were given
     """
 
-    asked: Study
-    base: Study | None = None
+    cases: tuple[Case[Settings], ...]
+    asked: Settings
+    complete: Settings
+    file: str
     source: Scene | SpectralImage
-    uncertainty: Uncertainty = field(default_factory=dict)
+    view: Mapping[str, Any] = field(default_factory=dict)
+    sensor: str | None = None
+    variant: str | None = None
+    units: str | None = None
 
     @property
-    def study(self) -> Study:
-        """The study with its display and chart; without axes and conditions, with its pixel sizes too."""
-        return self.base or self.settings
+    def settings(self) -> Settings:
+        """The complete settings of the first case."""
+        return self.cases[0].settings
+
+    @property
+    def camera(self) -> Camera:
+        """The camera of the first case."""
+        return self.cases[0].camera
+
+    @property
+    def repeats(self) -> int:
+        """Number of sensors of each kind with which the first case starts."""
+        return next(iter(self.cases[0].sizes.values()))
+
+    @property
+    def frames(self) -> int:
+        """Number of frames of the first sensor."""
+        return self.cases[0].frames
+
+    @cached_property
+    def request(self) -> LightRequest:
+        """What the pixels of the first case ask of its light."""
+        return light_request(self.cases[0])
+
+    @property
+    def combinations(self) -> tuple[Case[Settings], ...]:
+        """The first case of each group."""
+        firsts: dict[object, Case[Settings]] = {}
+        for case in self.cases:
+            firsts.setdefault(case.group, case)
+        return tuple(firsts.values())
+
+    @property
+    def evaluations(self) -> int:
+        """Number of evaluations that the cases start with."""
+        return sum(point_count(count, 1 + len(case.others)) for case in self.cases for count in case.sizes.values())
 
 
 def prepare(
     study: Study, variant: str | None = None, light: SpectralImage | None = None, without: SpectralImage | None = None
-) -> StudyJob:
+) -> Job[Study]:
     """Choose what a study leaves open, and check everything that can be checked before a render.
 
     light : on the sensor, in place of a scene's
@@ -439,7 +431,6 @@ def prepare(
     _warn_of_other_parts(found)
     # A chart that not all cases have stays chosen: settings.toml cannot state its end for all of them.
     kept = view if all(_same_chart(each.settings, own) for each in found) else without_chart(view)
-    base, scene = with_view(study, kept) if study.has_cases else None, source_with_view(scene, view)
     asked_displays = [case.settings.display for case in cases]
     sensors = tuple(
         replace(case, others=_further_displays(case, display))
@@ -447,7 +438,15 @@ def prepare(
         for case in cases_of_sensors(combination)
     )
     warn_of_reviews((label_of(case.sensor), case, None) for case in sensors)
-    return StudyJob(asked=asked, base=base, source=scene, view=view, cases=sensors, variant=variant)
+    return Job(
+        cases=sensors,
+        asked=asked,
+        complete=with_view(study, kept) if study.has_cases else found[0].settings,
+        file=study.scene.file,
+        source=source_with_view(scene, view),
+        view=view,
+        variant=variant,
+    )
 
 
 def _further_displays(case: Case[Study], stated: Display) -> tuple[Display, ...]:

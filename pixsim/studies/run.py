@@ -31,18 +31,17 @@ from pixsim.sensor.integration import check_pixel_count, collecting_area_um2, pi
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
 from pixsim.sensor.readout import Frame
-from pixsim.sensor.technology import Technology, load_technology
 from pixsim.show.document import pairs, plain_text
 from pixsim.show.pages import plain
 from pixsim.show.render import cell_of
-from pixsim.studies.design import Case, Job
+from pixsim.studies.design import Case
 from pixsim.studies.engine import Workers
 from pixsim.studies.evaluate import FirstFrame, LitCase, evaluate_points
 from pixsim.studies.files import scene_table
 from pixsim.studies.film_error import light_error_and_limit
-from pixsim.studies.lights import Light, LightRequest, light_request, rendered_light
+from pixsim.studies.lights import Light, rendered_light
 from pixsim.studies.paired import mean_interval, spread_interval
-from pixsim.studies.prepare import check_metrics, choose_view, is_picture, loaded_scene, scene_with_view, with_view
+from pixsim.studies.prepare import Job, check_metrics, choose_view, is_picture, loaded_scene, scene_with_view, with_view
 from pixsim.studies.sentences import run_answers
 from pixsim.studies.sizes import metrics_of
 from pixsim.studies.store import Store
@@ -79,52 +78,23 @@ LIGHT_FILE = "light.exr"  # of light that was in memory, once it is written
 # --- what is run, before anything is rendered ----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class RunJob(Job[Run]):
-    """A run that is prepared.
+def repeating_settings(job: Job[Run], irradiance: SpectralImage) -> Run:
+    """Return the settings with which `pixsim run` makes the same numbers again.
 
-    source : scene, or picture of another program
-    asked : settings as they were given
-    full : whether no effect is left out
-    repeats : number of sensors of the kind
-    frames : number of frames of the first sensor
-    units : of the picture, as they were given
+    irradiance : of this run
     """
+    if job.cases[0].picture:
+        return job.complete
+    # Display and chart, too, may have been chosen; defaults in their place would count as given.
+    of_view = {"display": job.complete.display, "scene": scene_table(job.cases[0].scene.path.parent, job.complete.scene)}
+    return without_clock(job.asked, irradiance).model_copy(update=of_view)
 
-    source: str
-    asked: Run
-    full: bool = False
-    repeats: int = 1
-    frames: int = 1
-    units: str | None = None
 
-    @cached_property
-    def request(self) -> LightRequest:
-        """What the pixel asks of the scene's light."""
-        return light_request(self.cases[0], full=self.full)
-
-    @property
-    def technology(self) -> Technology:
-        """The process of the pixel, as its file has it."""
-        return load_technology(self.settings.pixel.technology)
-
-    def repeating(self, irradiance: SpectralImage) -> Run:
-        """Return the settings with which `pixsim run` makes the same numbers again.
-
-        irradiance : of this run
-        """
-        if self.cases[0].picture:
-            return self.settings
-        # Display and chart, too, may have been chosen; defaults in their place would count as given.
-        of_view = {"display": self.settings.display, "scene": scene_table(self.cases[0].scene.path.parent, self.settings.scene)}
-        return without_clock(self.asked, irradiance).model_copy(update=of_view)
-
-    @property
-    def whole_source(self) -> str:
-        """The scene or picture, for a command in another folder."""
-        if self.cases[0].picture:
-            return str(Path(self.source).resolve())
-        return self.source if self.source in packaged_scenes() else str(self.cases[0].scene.path)
+def whole_source(job: Job[Run]) -> str:
+    """Return the scene or picture of a run, for a command in another folder."""
+    if job.cases[0].picture:
+        return str(Path(job.file).resolve())
+    return job.file if job.file in packaged_scenes() else str(job.cases[0].scene.path)
 
 
 def prepare(
@@ -138,12 +108,16 @@ def prepare(
     variant: str | None = None,
     units: str | None = None,
     judges_settings: bool = True,
-) -> RunJob:
+) -> Job[Run]:
     """Choose what a run leaves open, and check everything that can be checked before a render.
 
+    source : scene, picture of another program, or light in memory, which has the name `LIGHT_FILE`
+    full : leave out no effect, whatever the plan says of its size
+    repeats, frames : number of sensors of the kind, and of frames of the first one
+    sensor, variant, units : of the scene, and of the picture
     judges_settings : whether to warn of settings that do nothing
 
-    The other arguments are fields of `RunJob`; light in memory has the name `LIGHT_FILE`. Raises PixsimError for invalid input.
+    Raises PixsimError for invalid input.
     """
     pitch_um = settings.pixel.pitch_um
     if not 1 <= frames <= MAX_FRAMES:
@@ -196,15 +170,15 @@ def prepare(
         stream=("evaluate", settings.seed),
         stream_has_pitch=False,
         sizes={pitch_um: repeats},
-    )
-    job = RunJob(
-        source=source,
-        asked=settings,
-        cases=(case,),
-        view=view,
-        full=full,
-        repeats=repeats,
         frames=frames,
+    )
+    job = Job(
+        cases=(case,),
+        asked=settings,
+        complete=complete,
+        file=source,
+        source=seen,
+        view=view,
         sensor=sensor,
         variant=variant,
         units=units,
@@ -221,7 +195,7 @@ def prepare(
 class LitRun:
     """A run whose light is known. The fields are those of `RunResult`."""
 
-    prepared: RunJob = field(repr=False)
+    prepared: Job[Run] = field(repr=False)
     irradiance: SpectralImage = field(repr=False)
     rendered: Light | None = field(default=None, repr=False)
     plan: Plan | None = field(default=None, repr=False)
@@ -478,11 +452,11 @@ class RunResult(LitRun):
     def _repr_html_(self) -> str:
         camera = self.camera
         of_run = f"{camera.focal_length_mm:g} mm at f/{camera.f_number:g}, die of {camera.die_mm:g} mm; seed {self.settings.seed}"
-        notes = [f"{self.prepared.source}: {of_run}", *self.notes]
+        notes = [f"{self.prepared.file}: {of_run}", *self.notes]
         return cell_of(run_answers(self), self.plot(), pairs("statistics", self.statistics[0], ".6g"), *notes)
 
     def __repr__(self) -> str:
-        return f"<RunResult {self.prepared.source}: {plain_text(run_answers(self)[0].head)}>"
+        return f"<RunResult {self.prepared.file}: {plain_text(run_answers(self)[0].head)}>"
 
 
 # --- the way from the settings to the result -------------------------------------------------------------------------------------
@@ -539,7 +513,7 @@ def run(
         return run_prepared(prepared, progress=progress)
 
 
-def run_prepared(prepared: RunJob, *, progress: Stage | None = None) -> RunResult:
+def run_prepared(prepared: Job[Run], *, progress: Stage | None = None) -> RunResult:
     """Run what is prepared.
 
     progress : returns a callback for each named stage
@@ -548,7 +522,7 @@ def run_prepared(prepared: RunJob, *, progress: Stage | None = None) -> RunResul
     return score_run(light_run(prepared, stage), stage)
 
 
-def light_run(prepared: RunJob, stage: Stage) -> LitRun:
+def light_run(prepared: Job[Run], stage: Stage) -> LitRun:
     """Return a run with its light, with the white that it is shown with."""
     with collected_notes() as notes:
         image, rendered, plan = prepared.cases[0].picture, None, None

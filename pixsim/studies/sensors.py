@@ -29,13 +29,13 @@ from pixsim.sensor.pixel_options import BORDER_PIXELS, NO_TECHNOLOGY
 from pixsim.sensor.spread import sheet_uncertainty
 from pixsim.sensor.technology import check_name, load_technology
 from pixsim.studies.axes import NOT_SETTINGS, paths_of
-from pixsim.studies.design import Case, Job, cases_of, combinations, named, values_at, warn_of_reviews, with_range_ends
+from pixsim.studies.design import Case, cases_of, combinations, named, values_at, warn_of_reviews, with_range_ends
 from pixsim.studies.drawn_types import Types, asked_of
 from pixsim.studies.files import QUICK_REPEATS, checked_study, config_layers, study_of
 from pixsim.studies.layers import STUDY_ALONE, check_asked, parts_of_study, unused_settings
 from pixsim.studies.lights import LightRequest, light_request
 from pixsim.studies.paired import FEWEST_PAIRS
-from pixsim.studies.prepare import check_metrics, choose_view, is_picture, loaded_scene, with_view
+from pixsim.studies.prepare import Job, check_metrics, choose_view, is_picture, loaded_scene, with_view
 from pixsim.studies.settings import Study, owner_of
 from pixsim.studies.sizes import further_displays, metrics_of
 from pixsim.studies.table import Label
@@ -490,7 +490,6 @@ class ComparisonJob(Job[Run]):
     cases : the sensors of all groups
     groups : all sensors, then the first sensor and each other one alone: at values of axes, under conditions, by matches
     match : of the cameras that was asked for
-    repeats : frames of each sensor
     base : settings of each sensor, as the files and options have them without a condition
     study : whose settings, axes and conditions are those of all sensors, if any; its scene is that of the comparison
     not_used : settings of the study that are not used, by their dotted names
@@ -499,7 +498,6 @@ class ComparisonJob(Job[Run]):
 
     groups: tuple[SensorGroup, ...]
     match: Match
-    repeats: int
     base: tuple[Run, ...]
     study: Study | None = None
     not_used: tuple[str, ...] = ()
@@ -641,12 +639,15 @@ def prepare(
     warn_of_reviews((case.sensor, case, None) for group in every_group for case in group.cases)
     return ComparisonJob(
         cases=tuple(case for group in every_group for case in group.cases),
+        asked=base[0].settings,
+        complete=groups[0].first.settings,
+        file=file,
+        source=groups[0].first.source,
         view=groups[0].view,
         sensor=sensor,
         variant=variant,
         groups=every_group,
         match=chosen,
-        repeats=repeats,
         base=tuple(case.settings for case in base),
         study=plan,
         not_used=not_used,

@@ -30,7 +30,7 @@ from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluate import Counts, LitCase, check_ideals, evaluate_points, ideal_facts, lit_cases
 from pixsim.studies.files import load_study, scene_table, settings_text, spreads_of_study, tables_of_python, uncertainty_of
 from pixsim.studies.lights import Light, render_lights
-from pixsim.studies.prepare import StudyJob, check_given_light, prepare
+from pixsim.studies.prepare import Job, check_given_light, prepare
 from pixsim.studies.result import CasesResult, Curve, StudyResult, causes_of_curve, curve_of
 from pixsim.studies.rounds import Rounds, on_first_display
 from pixsim.studies.settings import Study
@@ -42,15 +42,17 @@ from pixsim.viewer.score import Score
 from pixsim.viewer.screen import warn_of_clipping
 
 if TYPE_CHECKING:
+    from pixsim.sensor.spread import Uncertainty
     from pixsim.studies.drawn_types import Asked
 
 FEW_CASES = 64  # of a study whose curves with an open end get more sizes and sensors
 
 
-def repeated_settings(job: StudyJob, image: SpectralImage, asked: Asked | None = None) -> str:
+def repeated_settings(job: Job[Study], image: SpectralImage, spreads: Uncertainty, asked: Asked | None = None) -> str:
     """Return the text of settings.toml, from which `pixsim study` makes the same numbers again.
 
     image : the render of the study
+    spreads : [pixel.uncertainty] of the study and its data sheets, as its files state it
     asked : about its unknown numbers
     """
     from pixsim.scene.convergence import without_clock
@@ -60,21 +62,22 @@ def repeated_settings(job: StudyJob, image: SpectralImage, asked: Asked | None =
         more = "" if without is None else f" and, without its target, {without.header[DIGEST]}"
         names = "light=…" if without is None else "light=…, without=…"
         command = f"pixsim.study('{SETTINGS_FILE}', out, {names}), of the light of digest {image.header[DIGEST]}{more}"
-        return settings_text(job.study, command, spreads_of_study(job.study, job.uncertainty))
-    scene, kept = job.source, without_clock(job.study, image)
+        return settings_text(job.complete, command, spreads_of_study(job.complete, spreads))
+    scene, kept = job.source, without_clock(job.complete, image)
     file = kept.scene.file
     of_scene = {
         "file": file if file in packaged_scenes() else str(scene.path),
         "parameters": scene_table(scene.path.parent, kept.scene.parameters),
     }
     camera = scene.camera(kept.camera, kept.lens).options.model_dump(exclude_none=True)
-    spreads = spreads_of_study(kept, job.uncertainty)
     # Where dots and distance are stated, no further display is shown: one of them stays open if it was.
     stated = job.asked.display.model_fields_set
     is_open = any(case.others for case in job.cases)
     left_open = {"dots" if "samples_per_deg" in stated else "samples_per_deg"} if is_open else set()
     display = kept.display.model_dump(mode="json", exclude_none=True, exclude=left_open)
-    return settings_text(kept, repeating_command(job.variant, asked), spreads, scene=of_scene, camera=camera, display=display)
+    return settings_text(
+        kept, repeating_command(job.variant, asked), spreads_of_study(kept, spreads), scene=of_scene, camera=camera, display=display
+    )
 
 
 def repeating_command(variant: str | None, asked: Asked | None = None) -> str:
@@ -295,29 +298,33 @@ def study(
         from pixsim.studies.drawn_types import asked_of
 
         asked = asked_of(uncertainty, sobol, smaller_than_um, spreads)
-        job = replace(prepare(chosen, variant, light=light, without=without), uncertainty=spreads)
-        return run_prepared(job, out, jobs=jobs, scheduler=scheduler, progress=progress, agreed=agreed, asked=asked)
+        job = prepare(chosen, variant, light=light, without=without)
+        return run_prepared(
+            job, out, jobs=jobs, scheduler=scheduler, progress=progress, agreed=agreed, spreads=spreads, asked=asked
+        )
 
 
 def run_prepared(
-    job: StudyJob,
+    job: Job[Study],
     out: str | os.PathLike[str],
     *,
     jobs: int | None = None,
     scheduler: object = None,
     progress: Stage | None = None,
     agreed: bool = False,
+    spreads: Uncertainty | None = None,
     asked: Asked | None = None,
 ) -> StudyResult:
     """Run a prepared study; the other arguments are those of `study`.
 
+    spreads : [pixel.uncertainty] of the study and its data sheets, as its files state it
     asked : about its unknown numbers
     """
     check_number(len(job.combinations), job.evaluations, agreed)
     if asked is not None:
         from pixsim.studies.drawn_types import check_types
 
-        check_types(job.study, [case.settings for case in job.combinations], asked, agreed)
+        check_types(job.complete, [case.settings for case in job.combinations], asked, agreed)
 
     stage = progress or no_stage
     if jobs is None and scheduler is None:
@@ -325,7 +332,7 @@ def run_prepared(
     with collected_notes() as notes, ExitStack() as stack:
         check_replaceable_results(Path(out) / "results.csv")
         workers, folder = stack.enter_context(workers_for(jobs, scheduler)), stack.enter_context(output_folder(out))
-        chosen = job.study
+        chosen = job.complete
         lights = render_lights(job.cases, stage, workers, store=PictureFile(folder).stored)
         reasons = list(dict.fromkeys(light for light in lights if isinstance(light, str)))
         found: list[StudyResult] = []
@@ -343,15 +350,15 @@ def run_prepared(
         warn_of_idle_axes(chosen, found)
         curves = found[0].curves
         findings: tuple[tuple[Any, ...], ...] = ()
-        if job.study.has_cases and chosen.paper:
+        if chosen.has_cases and chosen.paper:
             from pixsim.studies.claims import findings_of_cases
 
             findings = findings_of_cases(found, workers, stage("paper's statements"))
     first = found[0]
     irradiance = first.irradiance
-    settings_toml = repeated_settings(job, irradiance, asked)
+    settings_toml = repeated_settings(job, irradiance, spreads or {}, asked)
     final = replace(first, warned=tuple(notes), curves=curves, settings_toml=settings_toml)
-    if job.study.has_cases:
+    if chosen.has_cases:
         names = dict.fromkeys(curve.technology for part in found for curve in part.curves)
         final = CasesResult(
             chosen,

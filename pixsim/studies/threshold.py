@@ -17,9 +17,8 @@ from pixsim.base.notes import without_warnings
 from pixsim.base.progress import Progress
 from pixsim.scene.scene import Scene
 from pixsim.sensor.motion_options import STILL
-from pixsim.studies.design import Job
 from pixsim.studies.lights import Light, LightRequest, without_target
-from pixsim.studies.prepare import loaded_scene, scene_with_view
+from pixsim.studies.prepare import Job, loaded_scene, scene_with_view
 from pixsim.viewer.evaluate import reviewed_chain
 from pixsim.viewer.frame_under_test import FrameUnderTest
 from pixsim.viewer.imaging import Imaging

@@ -58,6 +58,15 @@ def test_first_picture_is_the_last_where_the_film_is_fine_enough(answered):
     assert "± " in last["lines"][0]
 
 
+def test_first_number_is_that_of_one_sensor(answered):
+    first = next(message for message in answered[1] if "pictures" in message)
+    own = {**SMALL, "pixel": {"pitch_um": 40.0}, "camera": {"f_number": 5.6}, "exposure": {"gain_db": 6.1}}
+    own |= {"motion": {"image_um_per_s": (500.0, 0.0)}, "develop": {"denoise": "nlm", "denoise_strength": 1.5}}
+    one, several = (run("csf", parameters={"luminance_cd_per_m2": 300.0}, repeats=count, **own) for count in (1, 4))
+    assert f"mean ΔE {one.mean_delta_e:.3f} of one sensor" in first["lines"][0]
+    assert f"{one.mean_delta_e:.3f}" != f"{several.mean_delta_e:.3f}", "the mean of four differs in what is shown"
+
+
 @pytest.mark.parametrize("way", ["command", "settings.toml", "Python"])
 def test_ways_out_repeat_the_picture_bit_for_bit(way, answered, tmp_path):
     sent = answered[1]

@@ -93,9 +93,9 @@ def test_choose_view_ends_at_the_cut_off_of_the_lens() -> None:
 def test_prepare_technology_keeps_paper_display_and_chart() -> None:
     for name in ("chen2000", "modern"):
         prepared = prepare(load_study(name))
-        assert (prepared.view, prepared.study.display.dots) == ({}, 512)
-        assert "max_lp_per_mm" not in {**prepared.study.scene.parameters, **prepared.cases[0].scene.parameters}
-        assert prepared.study == load_study(name)
+        assert (prepared.view, prepared.complete.display.dots) == ({}, 512)
+        assert "max_lp_per_mm" not in {**prepared.complete.scene.parameters, **prepared.cases[0].scene.parameters}
+        assert prepared.complete == load_study(name)
 
 
 # --- Pixel sizes -------------------------------------------------------------------------------------------------------
@@ -154,7 +154,7 @@ def test_prepare_set_size_with_too_many_pixels_raises() -> None:
 def test_prepare_technology_with_too_many_pixels_is_clipped() -> None:
     study = load_study("pixel-size", camera={"die_mm": 30.0})
     with pytest.warns(UserWarning, match="smallest pixel size is"):
-        fitted = prepare(study).study
+        fitted = prepare(study).complete
     low = study_pitches_um(fitted, "4t-bsi")[0]
     assert (30e3 / low) ** 2 <= 2**26 < (30e3 / study_pitches_um(study, "4t-bsi")[0]) ** 2
     with warnings.catch_warnings(action="error"):
@@ -417,7 +417,7 @@ def test_study_cost_holds_one_light_and_takes_one_report(plan: Plan) -> None:
     """Twice as many lights take their renders and evaluations more, and no more memory than a limit allows."""
     prepared = prepare(sheet_study(2.4))
     one, two, few, many = (
-        study_cost([(prepared.study, prepared.camera)] * count, count, plan, SAMPLES, jobs=2) for count in (1, 2, 20, 40)
+        study_cost([(prepared.complete, prepared.camera)] * count, count, plan, SAMPLES, jobs=2) for count in (1, 2, 20, 40)
     )
     assert (many.renders, many.evaluations) == (40, 40 * one.evaluations)
     assert few.memory_bytes == many.memory_bytes <= one.memory_bytes + SCENE_CACHE_BYTES
