@@ -5,30 +5,29 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike
 
 from pixsim.base.arrays import Array
-from pixsim.base.progress import Progress
-from pixsim.base.records import content_hash
 from pixsim.scene.charts import csf_contrast, csf_frequency_lp_per_mm, csf_frequency_on_sensor
 from pixsim.sensor.integration import pixels_on
 from pixsim.sensor.pixel import derive, fill_factor_law
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.technology import Technology, with_fill_factor_law
-from pixsim.studies.design import BASE, of_technology
-from pixsim.studies.engine import Workers, results_of
-from pixsim.studies.result import CasesResult, Curve, StudyResult
+from pixsim.studies.design import BASE
 from pixsim.studies.sentences import interval_words
 from pixsim.studies.settings import Study
 from pixsim.studies.sizes import technology_of
 from pixsim.viewer.display import picture_size_um
+
+if TYPE_CHECKING:
+    from pixsim.studies.result import CasesResult, Curve, StudyResult
 
 # Figure 2 of Chen, Catrysse, El Gamal and Wandell (2000).
 FIGURE_2_INTEGRATION_S = 0.030
@@ -215,32 +214,6 @@ def reference_rows(evidence: Evidence) -> list[Finding]:
     if REFERENCE_TECHNOLOGY in evidence.curves:
         checks += [_optimum_rows, _iso_rows, _map_rows]
     return [finding for check in checks for finding in check(evidence)]
-
-
-def findings_of_cases(parts: Sequence[StudyResult], workers: Workers, progress: Progress) -> tuple[tuple[Finding, ...], ...]:
-    """Return the statements compared with each case of a study with axes or conditions; none where a case lacks the process.
-
-    The rows of the paper's process are computed once for cases that differ in other processes only.
-    """
-    keys = [
-        content_hash([of_technology(part.study, REFERENCE_TECHNOLOGY), part.sensors[REFERENCE_TECHNOLOGY].fingerprints.imaging])
-        if REFERENCE_TECHNOLOGY in part.study.technologies
-        else ""
-        for part in parts
-    ]
-    first = {key: part for key, part in zip(keys, parts, strict=True) if key}
-    # Each call has its own `make`, since the calls share no data.
-    calls = [(key, partial(StudyResult, part.study, part.curves, part.irradiance, part.camera)) for key, part in first.items()]
-    rows: dict[str, list[Finding]] = {"": []}
-    for done, (key, own) in enumerate(results_of(_reference_task, calls, workers), 1):
-        rows[key] = own
-        progress(done / len(calls))
-    return tuple((*rows[key], *scaling_rows(part.curves)) if key else () for key, part in zip(keys, parts, strict=True))
-
-
-def _reference_task(key: str, result: StudyResult) -> tuple[str, list[Finding]]:
-    """Return the key of a case and the rows of the paper's process in it."""
-    return key, reference_rows(Evidence(result, {curve.technology: curve for curve in result.curves}))
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,15 +19,17 @@ from pixsim.base.files import output_folder
 from pixsim.base.layers import listed
 from pixsim.base.notes import collected_notes, warn
 from pixsim.base.progress import Progress, Stage, no_stage
+from pixsim.base.records import content_hash
 from pixsim.base.toml import SETTINGS_FILE
 from pixsim.light.spectral import DIGEST, SpectralImage
 from pixsim.light.stored import PictureFile
 from pixsim.scene.packaged import packaged_scenes
 from pixsim.sensor.labels import label_of
 from pixsim.show.sentences import few
+from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, reference_rows, scaling_rows
 from pixsim.studies.cost import jobs_in_memory, largest_frame_bytes
-from pixsim.studies.design import Case, check_number, warn_of_reviews
-from pixsim.studies.engine import Workers, workers_for
+from pixsim.studies.design import Case, check_number, of_technology, warn_of_reviews
+from pixsim.studies.engine import Workers, results_of, workers_for
 from pixsim.studies.evaluate import Counts, LitCase, check_ideals, evaluate_points, ideal_facts, lit_cases
 from pixsim.studies.files import load_study, scene_table, settings_text, spreads_of_study, tables_of_python, uncertainty_of
 from pixsim.studies.lights import Light, render_lights
@@ -218,6 +221,32 @@ def warn_of_idle_axes(study: Study, found: Sequence[StudyResult]) -> None:
             warn(f"the axis {axis.name} changes nothing: {why}")
 
 
+def findings_of_cases(parts: Sequence[StudyResult], workers: Workers, progress: Progress) -> tuple[tuple[Finding, ...], ...]:
+    """Return the statements compared with each case of a study with axes or conditions; none where a case lacks the process.
+
+    The rows of the paper's process are computed once for cases that differ in other processes only.
+    """
+    keys = [
+        content_hash([of_technology(part.study, REFERENCE_TECHNOLOGY), part.sensors[REFERENCE_TECHNOLOGY].fingerprints.imaging])
+        if REFERENCE_TECHNOLOGY in part.study.technologies
+        else ""
+        for part in parts
+    ]
+    first = {key: part for key, part in zip(keys, parts, strict=True) if key}
+    # Each call has its own `make`, since the calls share no data.
+    calls = [(key, partial(StudyResult, part.study, part.curves, part.irradiance, part.camera)) for key, part in first.items()]
+    rows: dict[str, list[Finding]] = {"": []}
+    for done, (key, own) in enumerate(results_of(_reference_task, calls, workers), 1):
+        rows[key] = own
+        progress(done / len(calls))
+    return tuple((*rows[key], *scaling_rows(part.curves)) if key else () for key, part in zip(keys, parts, strict=True))
+
+
+def _reference_task(key: str, result: StudyResult) -> tuple[str, list[Finding]]:
+    """Return the key of a case and the rows of the paper's process in it."""
+    return key, reference_rows(Evidence(result, {curve.technology: curve for curve in result.curves}))
+
+
 @checks_arguments
 def study(
     plan: Study | str | os.PathLike[str],
@@ -351,8 +380,6 @@ def run_prepared(
         curves = found[0].curves
         findings: tuple[tuple[Any, ...], ...] = ()
         if chosen.has_cases and chosen.paper:
-            from pixsim.studies.claims import findings_of_cases
-
             findings = findings_of_cases(found, workers, stage("paper's statements"))
     first = found[0]
     irradiance = first.irradiance
