@@ -320,9 +320,9 @@ def study(
     from pixsim.report.study import report_files, study_document
     from pixsim.report.uncertainty import uncertainty_files
     from pixsim.show.render import write
-    from pixsim.studies.cost import fitting_jobs
     from pixsim.studies.design import MANY_CASES, MAX_CASES, check_number, number_of_cases
     from pixsim.studies.drawn_types import asked_of, check_types
+    from pixsim.studies.dry_run import fitting_jobs
     from pixsim.studies.engine import Workers, workers_here
     from pixsim.studies.files import checked_study, config_layers, read_study, uncertainty_of
     from pixsim.studies.prepare import prepare

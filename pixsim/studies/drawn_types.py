@@ -33,7 +33,6 @@ from pixsim.sensor.labels import file_label, labels_of
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY, Pixel
 from pixsim.sensor.spread import Spread, Uncertainty, sheet_uncertainty
 from pixsim.sensor.technology import load_technology
-from pixsim.studies.cost import MOST_EVALUATIONS
 from pixsim.studies.design import Case, check_number
 from pixsim.studies.engine import Workers
 from pixsim.studies.evaluate import evaluate_points, lit_cases
@@ -48,6 +47,7 @@ from pixsim.studies.uncertainty import (
     FEW_SENSORS,
     LEAST_DRAWS,
     MOST_DRAWS,
+    MOST_EVALUATIONS,
     Probability,
     ResultDistribution,
     Sample,

@@ -26,7 +26,7 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import disk_faults_named
 from pixsim.base.lazy import import_less
 from pixsim.base.locks import temporary_folder
-from pixsim.base.machine import processors
+from pixsim.base.machine import memory, processors
 from pixsim.base.notes import MachineWarning, warn
 from pixsim.base.shared_block import SharedBlock
 
@@ -49,6 +49,7 @@ RECONNECT_SECONDS, LOOK_SECONDS = 60.0, 0.1  # for a client that has lost its sc
 BATCH_SECONDS, MOST_CALLS = 0.5, 1 << 8  # of the calls of one task of a cluster
 BATCHES_A_THREAD = 3  # of a cluster: one runs, the others wait
 IDLE_SECONDS, WATCH_SECONDS = 300.0, 5.0  # for workers to come back after all are lost; between two looks
+BASE_BYTES = 3.0e8  # of a process: the program and its libraries
 AHEAD_BYTES = 1 << 28  # of shared data that is made before its first call is due
 
 
@@ -69,6 +70,13 @@ class Workers:
 def workers_here(jobs: int | None = None) -> Workers:
     """Return local workers: `jobs` processes, or one per core that this process may use."""
     return Workers(jobs or processors().usable)
+
+
+def jobs_in_memory(largest_bytes: float) -> int:
+    """Return the number of processes of which each has a core and memory for the largest frame, at least 1."""
+    usable = memory().usable
+    cores = workers_here().jobs
+    return cores if usable is None else max(1, min(cores, int(usable // (BASE_BYTES + largest_bytes))))
 
 
 @contextmanager

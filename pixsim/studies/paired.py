@@ -18,6 +18,7 @@ from pixsim.viewer.metrics import DELTA_E, Metric
 CONFIDENCE = 0.95
 FEWEST_PAIRS = 2  # that have a scatter
 NORMAL_95 = 1.96
+NOISE_SENSORS = 4  # at the first sensor's registration, with it, whose scatter is that of the noise
 NET_ORDER = 1.5  # of the error of evenly spread points, as a power of their number
 SENSOR, CONDITION = "technology", "condition"  # labels of a table
 

@@ -40,7 +40,7 @@ from pixsim.studies.evaluate import FirstFrame, LitCase, evaluate_points
 from pixsim.studies.files import scene_table
 from pixsim.studies.film_error import light_error_and_limit
 from pixsim.studies.lights import Light, rendered_light
-from pixsim.studies.paired import mean_interval, spread_interval
+from pixsim.studies.paired import NOISE_SENSORS, mean_interval, spread_interval
 from pixsim.studies.prepare import Job, check_metrics, choose_view, is_picture, loaded_scene, scene_with_view, with_view
 from pixsim.studies.sentences import run_answers
 from pixsim.studies.sizes import metrics_of
@@ -70,7 +70,6 @@ if TYPE_CHECKING:
 
 MAX_FRAMES = 999  # the numbers in the names of their files have three digits
 MAX_REPEATS = 10_000
-NOISE_SENSORS = 4  # at the first sensor's registration, with it, whose scatter is that of the noise
 BEFORE_FRAME = 0.8  # of the work of "sense and score"
 LIGHT_FILE = "light.exr"  # of light that was in memory, once it is written
 

@@ -1,11 +1,11 @@
-"""The pixels of a study, of each technology or data sheet: their sizes, and how many sensors of each it starts with."""
+"""The pixels of a study, of each technology or data sheet: their sizes, how many sensors it starts with, and what a frame takes."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from pixsim.light.quantities import MIN_FRACTION
 from pixsim.optics.camera import Camera
 from pixsim.optics.diffraction import cutoff_cy_per_mm
 from pixsim.scene.film import GREEN_NM
+from pixsim.sensor.integration import pixels_on
 from pixsim.sensor.motion import border_with_room_um
 from pixsim.sensor.pixel import PixelPhysics, derive, fill_factor_law, largest_pitch_um, pitch_for_fill_factor_um
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY, Pixel
@@ -89,6 +90,8 @@ def photodiode_widths_um(study: Study, technology: str, pitch_um: PositiveArray)
 
 CUTOFF_NM = GREEN_NM  # at which a lens limits pixels, as it limits the film of a render
 BYTES_PER_PIXEL = 72.0  # of a frame, its fixed pattern and its noise, while it is simulated
+FRAME_S, PIXEL_S, DOT_S = 6e-4, 2e-7, 1.6e-7  # of a frame, its pixels and its dots, on one core of an ordinary machine
+DOT_BYTES = 150.0
 Sizes = dict[float, int]  # pitch in µm -> sensors, in order
 Sampling = dict[str, Sizes]  # technology -> its pixel sizes, in order
 
@@ -190,6 +193,27 @@ def metrics_of(settings: Setting, repeats: int = 1) -> MetricRequest:
 def first_sampling(study: Study) -> Sampling:
     """Return the sampling that a study starts with: `repeats` sensors of each of its pitches."""
     return {name: dict.fromkeys(study_pitches_um(study, name).tolist(), study.repeats) for name in study.technologies}
+
+
+class FrameCost(NamedTuple):
+    """Time and memory of one frame and its score."""
+
+    seconds: float
+    memory_bytes: float
+
+
+def frame_cost(camera: Camera, pitch_um: float, *displays: Display) -> FrameCost:
+    """Estimate one frame of a pitch and its ΔE on each display."""
+    pixels = math.prod(pixels_on(camera.die_um, pitch_um))
+    dots = [pixels if display.raster == "one_to_one" else dots_on(camera, display) for display in displays]
+    seconds = FRAME_S + pixels * PIXEL_S + sum(dots) * DOT_S
+    return FrameCost(seconds, pixels * BYTES_PER_PIXEL + max(dots) * DOT_BYTES)
+
+
+def dots_on(camera: Camera, display: Display) -> int:
+    """Return the number of dots that show a die, with the raster fixed_size."""
+    height_um, width_um = camera.die_um
+    return display.dots * max(1, round(display.dots * height_um / width_um))
 
 
 DOTS_FACTORS = (0.5, 2.0)

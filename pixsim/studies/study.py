@@ -27,9 +27,9 @@ from pixsim.scene.packaged import packaged_scenes
 from pixsim.sensor.labels import label_of
 from pixsim.show.sentences import few
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, reference_rows, scaling_rows
-from pixsim.studies.cost import jobs_in_memory, largest_frame_bytes
 from pixsim.studies.design import Case, check_number, of_technology, warn_of_reviews
-from pixsim.studies.engine import Workers, results_of, workers_for
+from pixsim.studies.dry_run import largest_frame_bytes
+from pixsim.studies.engine import Workers, jobs_in_memory, results_of, workers_for
 from pixsim.studies.evaluate import Counts, LitCase, check_ideals, evaluate_points, ideal_facts, lit_cases
 from pixsim.studies.files import load_study, scene_table, settings_text, spreads_of_study, tables_of_python, uncertainty_of
 from pixsim.studies.lights import Light, render_lights

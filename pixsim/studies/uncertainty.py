@@ -160,6 +160,7 @@ SHARED = ("dark_current_na_per_cm2", "dark_current_perimeter_pa_per_cm", "dsnu",
 # Pairs of a technology's numbers of which the first must not exceed the second.
 ORDERED = (("voltage_swing_v", "reset_voltage_v"), ("fill_factor_inset_features", "fill_factor_zero_pitch_features"))
 LEAST_DRAWS, MOST_DRAWS = 8, 1 << 16
+MOST_EVALUATIONS = 24  # of a sensor type, for each technology and case
 HALF_CELL = 2.0**-31  # of scipy's Sobol' points, multiples of 2⁻³⁰: 0 is no quantile of a normal distribution
 QUANTILES = {"p05": 0.05, "p50": 0.5, "p95": 0.95}
 SCATTER = "scatter of the evaluations"  # an input beside the numbers of the sensor: the frames and the fit of each type

@@ -20,8 +20,8 @@ import numpy as np
 import pixsim
 from pixsim.base.arrays import Array
 from pixsim.sensor.pixel import spread_registration
-from pixsim.studies.paired import mean_interval, spread_interval
-from pixsim.studies.run import NOISE_SENSORS, RunResult
+from pixsim.studies.paired import NOISE_SENSORS, mean_interval, spread_interval
+from pixsim.studies.run import RunResult
 from pixsim.viewer.chain import make_chain
 
 SIZES_UM, REPEATS, TRUTH = (2.2, 3.0, 6.0), (4, 8), 64
