@@ -27,7 +27,7 @@ from pixsim.scene.plan import Plan
 from pixsim.sensor.pixel_options import BORDER_PIXELS
 from pixsim.studies.comparison import ComparedSensor, Comparison
 from pixsim.studies.design import Case, check_number, named, warn_of_reviews
-from pixsim.studies.drawn_types import TYPES_FILE, PairUncertainty, Types, sample_of
+from pixsim.studies.drawn_types import Types
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluate import LitCase, check_ideals, evaluate_points, lit_cases
 from pixsim.studies.files import tables_of_python
@@ -37,7 +37,7 @@ from pixsim.studies.lights import Light, rendered_light
 from pixsim.studies.sensors import PAIR, ComparisonJob, Match, SensorGroup, prepare
 from pixsim.studies.settings import Study
 from pixsim.studies.store import check_replaceable_results
-from pixsim.studies.uncertainty import FEW_SENSORS
+from pixsim.studies.uncertainty import FEW_SENSORS, TYPES_FILE, PairUncertainty, sample_of
 from pixsim.viewer.chain import make_chain
 from pixsim.viewer.dark_clip import dark_clip
 from pixsim.viewer.imaging import Imaging

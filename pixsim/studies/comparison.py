@@ -21,7 +21,6 @@ from pixsim.show.figures import literal, new_figure, own_style
 from pixsim.show.render import cell_of
 from pixsim.show.sentences import with_error
 from pixsim.studies.design import BASE, Case
-from pixsim.studies.drawn_types import PairUncertainty
 from pixsim.studies.film_error import FilmSteps
 from pixsim.studies.lights import Light
 from pixsim.studies.merit import stated_end_lp_per_mm
@@ -29,6 +28,7 @@ from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
 from pixsim.studies.paired import Pairs, mean_interval, paired, weighted_frames
 from pixsim.studies.sensors import ComparisonJob, Match, SensorGroup, pixels_of
 from pixsim.studies.table import DOTS, Table
+from pixsim.studies.uncertainty import PairUncertainty
 from pixsim.viewer.causes import causes_of, lightness_range
 from pixsim.viewer.dark_clip import clip_words, clips_dark
 from pixsim.viewer.develop_options import developed_words

@@ -7,12 +7,14 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pixsim.base.arguments import Jobs, checks_arguments
+from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import output_folder
@@ -28,25 +30,36 @@ from pixsim.sensor.labels import label_of
 from pixsim.show.sentences import few
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, reference_rows, scaling_rows
 from pixsim.studies.design import Case, check_number, of_technology, warn_of_reviews
+from pixsim.studies.drawn_types import Asked, asked_of, check_types
 from pixsim.studies.dry_run import largest_frame_bytes
 from pixsim.studies.engine import Workers, jobs_in_memory, results_of, workers_for
 from pixsim.studies.evaluate import Counts, LitCase, check_ideals, evaluate_points, ideal_facts, lit_cases
 from pixsim.studies.files import load_study, scene_table, settings_text, spreads_of_study, tables_of_python, uncertainty_of
 from pixsim.studies.lights import Light, render_lights
-from pixsim.studies.prepare import Job, check_given_light, prepare
+from pixsim.studies.prepare import Job, cases_of_sensors, check_given_light, prepare
 from pixsim.studies.result import CasesResult, Curve, StudyResult, causes_of_curve, curve_of
 from pixsim.studies.rounds import Rounds, on_first_display
 from pixsim.studies.settings import Study
-from pixsim.studies.sizes import DisplayOptimum
+from pixsim.studies.sizes import DisplayOptimum, Sizes, metrics_of, study_pitches_um
 from pixsim.studies.store import check_replaceable_results
-from pixsim.studies.table import DOTS, Table
+from pixsim.studies.table import DOTS, Label, Table
+from pixsim.studies.uncertainty import (
+    FEW_SENSORS,
+    MOST_EVALUATIONS,
+    UncertaintyResult,
+    drawn_metrics,
+    few_pitches_um,
+    sample_of,
+    settings_of,
+    types_file,
+)
+from pixsim.viewer.merging import merge
 from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.score import Score
-from pixsim.viewer.screen import warn_of_clipping
+from pixsim.viewer.screen import allows_single, warn_of_clipping
 
 if TYPE_CHECKING:
     from pixsim.sensor.spread import Uncertainty
-    from pixsim.studies.drawn_types import Asked
 
 FEW_CASES = 64  # of a study whose curves with an open end get more sizes and sensors
 
@@ -247,6 +260,118 @@ def _reference_task(key: str, result: StudyResult) -> tuple[str, list[Finding]]:
     return key, reference_rows(Evidence(result, {curve.technology: curve for curve in result.curves}))
 
 
+def draw_types(
+    result: StudyResult, asked: Asked, folder: Path, workers: Workers, progress: Callable[[], Progress | None]
+) -> list[UncertaintyResult]:
+    """Evaluate the sensor types of a finished study, and return what is known of each of its optima, metric by metric.
+
+    Each metric has its own pixel sizes, around its optimum of the base. Warns of metrics that tell no best size of the base.
+
+    result : of the study, whose optima are the base
+    folder : of the study, in which `types_file` keeps the rows, so that an interrupted run goes on
+
+    Raises PixsimError if nothing is unknown, or if a type has no pixel sizes in common with the base.
+    """
+    results = []
+    for metric in drawn_metrics(result.study):
+        if all(metric.name in curve.optima for base in result.cases for curve in base.curves):
+            bases = [replace(base, curves=tuple(curve.judged_by(metric.name) for curve in base.curves)) for base in result.cases]
+            results += _types_by_metric(bases, asked, folder / types_file(metric), workers, progress)
+        else:
+            warn(f"sensor types: none are drawn for {metric.words}, which tells no best size of some of the study's own sensors")
+    return results
+
+
+def _types_by_metric(
+    bases: Sequence[StudyResult], asked: Asked, file: Path, workers: Workers, progress: Callable[[], Progress | None]
+) -> list[UncertaintyResult]:
+    """Return what is known of the optima of the cases of a study by the first metric of their curves."""
+    study, metric = bases[0].study, bases[0].curves[0].metric
+    sample = asked.sample(study)
+    unknowns = [unknown for members in sample.inputs.values() for unknown in members]
+    cases: list[Case[Study]] = []  # by case of the study, then by type, then by technology
+    lights: list[Light] = []
+    for number, base in enumerate(bases):
+        settings = base.study.model_dump(mode="json", exclude_unset=True, exclude={"axis", "condition", "target_ci_um"})
+        settings |= {"metrics": [metric.name], "paper": False, "resolution": base.study.resolution}
+        types = [Study.model_validate(merge(settings, settings_of(base.study, unknowns, draw))) for draw in sample.draws]
+        few = {curve.technology: _few_pitches_um(types, curve) for curve in base.curves}
+        few_frames = base.study.model_copy(update={"metrics": (metric.name,), "repeats": FEW_SENSORS})
+        light = Light(base.irradiance, base.camera, without=base.without)
+        for draw, drawn_study in enumerate(types):
+            labels: dict[str, Label] = {"case": number, "draw": draw}
+            combination = Case(drawn_study, labels, labels=labels, group=(number, draw), resolved=(base.irradiance, base.camera))
+            for case in cases_of_sensors(combination):
+                assert case.imaging is not None
+                imaging = case.imaging.changed(
+                    display=few_frames.display,
+                    single=allows_single(few_frames.tolerance_delta_e),
+                    metrics=metrics_of(few_frames, FEW_SENSORS),
+                )
+                cases.append(replace(case, imaging=imaging, sizes=few[case.sensor], caches_frames=False))
+                lights.append(light)
+
+    lit = lit_cases(cases, lights)
+    curves: dict[int, Curve] = {}
+
+    def fit(number: int, table: Table) -> None:
+        case = cases[number]
+        curves[number] = curve_of(case.settings, case.sensor, table, label=lit[number].label)
+
+    evaluate_points(lit, file, workers, progress, known=fit)
+
+    results = []
+    ordered = (curves[number] for number in range(len(cases)))
+    for base in bases:
+        types_curves = [tuple(islice(ordered, len(base.curves))) for _ in sample.draws]
+        for place, curve in enumerate(base.curves):
+            table, holds = _results_of_types(list(zip(*types_curves, strict=True)), place, base, asked)
+            inputs = sample if asked.total else sample_of(sample, curve.technology)
+            label = curve.label if sum(len(other.curves) for other in bases) > 1 else ""
+            results.append(UncertaintyResult(inputs, table, holds, asked.draws, study.seed, label, asked.total, metric))
+    return results
+
+
+def _few_pitches_um(types: Sequence[Study], curve: Curve) -> Sizes:
+    """Return the pixel sizes around the optimum of the base that every sensor type allows."""
+    ends_um = [study_pitches_um(drawn_study, curve.technology)[[0, -1]] for drawn_study in types]
+    if curve.left_out:
+        ends_um.append(curve.pitch_um[[0, -1]])
+    range_um = float(max(low for low, _ in ends_um)), float(min(high for _, high in ends_um))
+    optimum_um = float(np.clip(curve.optimum.pitch_um, *range_um))
+    return few_pitches_um(optimum_um, curve.optimum.interval_um, range_um, MOST_EVALUATIONS)
+
+
+def _results_of_types(
+    curves: Sequence[Sequence[Curve]], place: int, base: StudyResult, asked: Asked
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Return `UncertaintyResult.table` and `holds` of one technology.
+
+    curves : of each technology, those of all types
+    place : of the technology among them
+    """
+    drawn_curves = curves[place]
+    optima = [curve.optimum for curve in drawn_curves]
+    value = base.curves[place].metric.columns[0]
+    names = ("optimum_um", "interval_low_um", "interval_high_um", value, f"{value}_low", f"{value}_high")
+    rows = [(best.pitch_um, *best.interval_um, best.value, *best.value_interval) for best in optima]
+    table = dict(zip(names, np.array(rows, float).T, strict=True))
+    table["inside"] = np.array([best.inside for best in optima])
+
+    # An optimum at the smallest size tried is there or below; of one at the largest size nothing is known above it.
+    smallest_um, largest_um = np.array([curve.fitted_range_um for curve in drawn_curves]).T
+    pitch_um = table["optimum_um"]
+    is_known = table["inside"] | (pitch_um == smallest_um)
+    holds = {f"the optimum is smaller than {size:g} µm": is_known & (pitch_um < size) for size in asked.smaller_than_um}
+    labels = [curve.plain_label for curve in base.curves]
+    delta_e = [np.array([curve.optimum.mean_delta_e for curve in drawn]) for drawn in curves]
+    for other, name in enumerate(labels):
+        if other != place:
+            holds[f"{labels[place]} is better than {name}"] = delta_e[place] < delta_e[other]
+    table["optimum_um"] = np.clip(pitch_um, smallest_um, largest_um)
+    return table, holds
+
+
 @checks_arguments
 def study(
     plan: Study | str | os.PathLike[str],
@@ -324,8 +449,6 @@ def study(
     with collected_notes():  # also of what is found before the study begins
         chosen = plan if isinstance(plan, Study) else load_study(plan, config, parameters, pixel, scene, quick, **settings)
         spreads = uncertainty_of(plan, listed(config), quick) if isinstance(plan, str | os.PathLike) else {}
-        from pixsim.studies.drawn_types import asked_of
-
         asked = asked_of(uncertainty, sobol, smaller_than_um, spreads)
         job = prepare(chosen, variant, light=light, without=without)
         return run_prepared(
@@ -351,8 +474,6 @@ def run_prepared(
     """
     check_number(len(job.combinations), job.evaluations, agreed)
     if asked is not None:
-        from pixsim.studies.drawn_types import check_types
-
         check_types(job.complete, [case.settings for case in job.combinations], asked, agreed)
 
     stage = progress or no_stage
@@ -405,8 +526,6 @@ def run_prepared(
         )
     if asked is None:
         return final
-    from pixsim.studies.drawn_types import draw_types
-
     with collected_notes(), workers_for(jobs, scheduler) as workers, output_folder(out) as folder:
         unknown = draw_types(final, asked, folder, workers, lambda: stage("sensor types"))
     return replace(final, uncertainty=tuple(unknown))

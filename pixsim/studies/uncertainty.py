@@ -16,7 +16,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.special import betaincinv, ndtri
@@ -33,11 +33,16 @@ from pixsim.sensor.spread import Spread
 from pixsim.sensor.stack_options import StackOptions, stack_excluded_by
 from pixsim.sensor.technology import Junction, Technology
 from pixsim.studies.settings import Study
+from pixsim.viewer.metric_registry import metrics_named
 from pixsim.viewer.metrics import DELTA_E, Metric
+
+if TYPE_CHECKING:
+    from pixsim.studies.drawn_types import Types
 
 DEGREE = 3  # of the regression on one input
 NEGLIGIBLE = 1e-9  # relative range of a result below which it differs by rounding
 DIGITS = 4  # of shares, since the last digits of sums depend on the number of threads
+TYPES_FILE = "types.csv"
 
 
 @dataclass(frozen=True)
@@ -678,3 +683,100 @@ def few_pitches_um(
     if len(few) < LEAST_PITCHES:
         raise invalid("range_um", f"{low:g} to {high:g}", f"a range of {LEAST_PITCHES} different pitches")
     return few
+
+
+# --- types of the sensors of a study or of a comparison ----------------------------------------------------
+
+
+def types_file(metric: Metric) -> str:
+    """Return the name of the file with the rows of sensor types by a metric."""
+    return TYPES_FILE if metric.is_delta_e else f"types_{metric.name}.csv"
+
+
+def drawn_metrics(study: Study) -> tuple[Metric, ...]:
+    """Return the metrics of which sensor types are drawn: those that tell a best size."""
+    return tuple(metric for metric in metrics_named(study.metrics) if metric.has_optimum)
+
+
+def sample_of(sample: Sample, *technologies: str) -> Sample:
+    """Return the sensor types with the inputs of some technologies only: the others do not move their results."""
+    columns = [
+        column
+        for column, members in enumerate(sample.inputs.values())
+        if any(unknown.technology in ("", *technologies) for unknown in members)
+    ]
+    names = list(sample.inputs)
+    return Sample({names[column]: sample.inputs[names[column]] for column in columns}, sample.quantiles[:, columns])
+
+
+@dataclass(frozen=True)
+class PairUncertainty:
+    """The difference of two sensors by a metric over sensor types.
+
+    names : of the two sensors, a and b
+    types : the sensor types
+    differences : ΔE(b) - ΔE(a) of each, (n,), or those of another metric in its unit
+    scatter_variances : of each difference by the noise of its frames, (n,)
+    metric : that judges
+    """
+
+    names: tuple[str, str]
+    types: Types
+    differences: Array = field(repr=False)
+    scatter_variances: Array = field(repr=False)
+    metric: Metric = field(default=DELTA_E, repr=False)
+
+    @cached_property
+    def sample(self) -> Sample:
+        """The sensor types with the inputs of these two sensors only; of total indices with all."""
+        return self.types.sample if self.types.total else sample_of(self.types.sample, *self.names)
+
+    @cached_property
+    def probability_a_better(self) -> Probability:
+        """Share of the types with a lower mean ΔE of a, or a better value, with its 95 % interval; an equal one counts half."""
+        return Probability.of((0.5 * (1.0 + np.sign(self.metric.worse_by(self.differences, 0.0)))).tolist())
+
+    @property
+    def difference(self) -> ResultDistribution:
+        """Distribution of the difference."""
+        return ResultDistribution(self.differences)
+
+    @cached_property
+    def shares(self) -> dict[str, dict[str, Share]]:
+        """Shares of the variance of the difference: input -> `first` -> share, and `total` of points of total indices."""
+        return self.sample.shares(self.differences, self.scatter_variances, total=self.types.total)
+
+    @property
+    def matters(self) -> str:
+        """The unknown number with the largest share of the variance, in words."""
+        shares = {label: self.shares[name]["first"] for name, label in input_labels(self.sample).items()}
+        shares = {label: share for label, share in shares.items() if not math.isnan(share.share)}
+        if not shares:
+            return "no number explains the difference, which does not vary or has too few sensor types"
+        name = max(shares, key=lambda label: shares[label].share)
+        return f"{name} matters most, with {shares[name]} of the variance"
+
+    @property
+    def words(self) -> str:
+        """Probability, quantiles and the unknown that matters most, in words."""
+        first, other = self.names
+        better = self.probability_a_better
+        low, middle, high = (f"{value:+.2g}" for value in self.difference.quantiles.values())
+        judge, unit = (
+            ("", " ΔE") if self.metric.is_delta_e else (f"{self.metric.words}: ", self.metric.unit and f" {self.metric.unit}")
+        )
+        return (
+            f"{judge}over {better.draws} sensor types {first} is better than {other} with the probability {better}; difference "
+            f"{middle}{unit} in the median, nine tenths from {low} to {high}; {self.matters}"
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the result as in compare.json."""
+        return {
+            "draws": len(self.differences),
+            "asked": self.types.asked,
+            "probability_a_better": asdict(self.probability_a_better),
+            "difference": {"quantiles": self.difference.quantiles},
+            "inputs": self.sample.stated,
+            "shares": plain_shares(self.shares),
+        }

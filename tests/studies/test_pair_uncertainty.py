@@ -18,8 +18,8 @@ from pixsim.base.toml import SETTINGS_FILE
 from pixsim.report.compare import _unknown
 from pixsim.sensor.readout import Frame
 from pixsim.studies.compare import scatter_variances
-from pixsim.studies.drawn_types import TYPES_FILE
 from pixsim.studies.settings import Study
+from pixsim.studies.uncertainty import TYPES_FILE
 
 SMALL: dict[str, Any] = {"display": {"dots": 32}, "resolution": COARSE, "repeats": 3, "jobs": 1}
 DIM = {"luminance_cd_per_m2": 0.05}  # so that read noise decides
