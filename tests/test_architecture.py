@@ -5,24 +5,16 @@ import re
 import tomllib
 from collections.abc import Iterator
 from functools import cache
-from graphlib import TopologicalSorter
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
+from helpers.measure import PACKAGE, arrows_of, files_of, floors, imports as imports_of, is_type_checking, tree as tree_of
 
 import pixsim
 from pixsim.base.units import unit_of
 
-PACKAGE = Path(pixsim.__file__).parent
-
-
-def module_name(path: Path) -> str:
-    """Import name without `pixsim.`, such as cli or verification.extreme_cases."""
-    parts = path.relative_to(PACKAGE).with_suffix("").parts
-    return ".".join(parts[:-1] if len(parts) > 1 and parts[-1] == "__init__" else parts)
-
-
-FILES = {module_name(path): path for path in sorted(PACKAGE.rglob("*.py"))}
+FILES = files_of()
 MODULES = sorted(FILES.keys() - {"__init__", "__main__"})
 # Package -> packages that it may import, in the order of the data flow.
 BELOW_SHOW = ("base", "light", "optics", "sensor")
@@ -58,32 +50,14 @@ KNOWS_SETTINGS_OF = {"scene": ("viewer",), "report": ("light", "optics", "sensor
 HEAVY = {"mitsuba", "drjit", "colour", "matplotlib", "OpenEXR", "jinja2", "rich", "joblib", "spectral", "distributed", "dask"}
 
 
-@cache
 def tree(module: str) -> ast.Module:
-    """What a file of the package says; all of them take a second, which every worker would spend on them."""
-    return ast.parse(FILES[module].read_text(encoding="utf-8"))
-
-
-def is_type_checking(node: ast.AST) -> bool:
-    return isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+    """What a file of the package says."""
+    return tree_of(FILES[module])
 
 
 def imports(tree: ast.AST, at_top_only: bool = False) -> Iterator[str]:
-    """Dotted names that a module imports at run time, without those for the type checker."""
-    for node in ast.iter_child_nodes(tree):
-        if isinstance(node, ast.expr):  # two thirds of the nodes, without a statement in them
-            continue
-        if is_type_checking(node) or (at_top_only and isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)):
-            continue
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, "relative import"
-            names = [f"{node.module}.{alias.name}" for alias in node.names]
-            yield from names
-            if any(name.removeprefix("pixsim.") not in FILES for name in names):  # not for a package's files
-                yield node.module
-        yield from imports(node, at_top_only)
+    """Dotted names that a module imports at run time."""
+    return imports_of(tree, FILES, at_top_only)
 
 
 @cache
@@ -104,11 +78,7 @@ def test_module_imports_nothing_heavy_at_top(module: str) -> None:
 @cache
 def arrows() -> dict[str, set[str]]:
     """Module -> modules of pixsim that it imports at run time, also inside functions."""
-    graph: dict[str, set[str]] = {}
-    for module in MODULES:
-        names = (name.removeprefix("pixsim.") for name in imports(tree(module)) if name.startswith("pixsim."))
-        graph[module] = {name for name in names if name in MODULES and name != module}
-    return graph
+    return {module: others & {*MODULES} for module, others in arrows_of().items() if module in MODULES}
 
 
 def package_arrows(*, settings: bool) -> set[tuple[str, str]]:
@@ -220,6 +190,20 @@ def test_package_graph_is_small() -> None:
 
     assert max(map(floor, ALLOWED)) <= 11
     assert len(between) <= 58
+
+
+def test_studies_have_few_floors() -> None:
+    """At most 10 modules of studies/ in one chain of imports; `floors` raises an error for a circle."""
+    heights = floors(arrows(), "studies")
+    assert max(heights.values()) <= 10
+    assert len(heights) > 10, "the graph is that of the room"
+
+
+def test_floors_are_those_of_the_longest_chain() -> None:
+    graph = {"a.one": {"a.two", "b.any"}, "a.two": {"a.three"}, "a.three": set(), "a.four": {"a.three"}, "b.any": {"a.one"}}
+    assert floors(graph, "a") == {"a.three": 1, "a.two": 2, "a.four": 2, "a.one": 3}
+    with pytest.raises(CycleError):
+        floors(graph | {"a.three": {"a.one"}}, "a")
 
 
 def test_names_are_not_reexported_by_modules() -> None:

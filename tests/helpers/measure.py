@@ -1,0 +1,106 @@
+"""Size of the package and its imports, by room: `python tests/helpers/measure.py [FOLDER]`, of pixsim if no folder is given.
+
+Nodes are those of the syntax tree, so that the width of lines, blank lines and comments do not count. A floor is the place of a
+module in the longest chain of imports inside its room. Imports inside functions count; those for the type checker do not.
+"""
+
+from __future__ import annotations
+
+import ast
+import sys
+from collections.abc import Iterator, Mapping
+from functools import cache
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pixsim
+
+PACKAGE = Path(pixsim.__file__).parent
+Arrows = Mapping[str, set[str]]  # module -> modules that it imports
+
+
+def module_name(path: Path, package: Path = PACKAGE) -> str:
+    """Import name without that of the package, such as cli or verification.extreme_cases."""
+    parts = path.relative_to(package).with_suffix("").parts
+    return ".".join(parts[:-1] if len(parts) > 1 and parts[-1] == "__init__" else parts)
+
+
+def files_of(package: Path = PACKAGE) -> dict[str, Path]:
+    """The files of a package, by the names of their modules."""
+    return {module_name(path, package): path for path in sorted(package.rglob("*.py"))}
+
+
+@cache
+def tree(path: Path) -> ast.Module:
+    """What a file says; all of them take a second, which every worker would spend on them."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def is_type_checking(node: ast.AST) -> bool:
+    return isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+
+
+def imports(tree: ast.AST, modules: Mapping[str, Path], at_top_only: bool = False) -> Iterator[str]:
+    """Dotted names that a module imports at run time, without those for the type checker.
+
+    modules : of the package
+    """
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.expr):  # two thirds of the nodes, without a statement in them
+            continue
+        if is_type_checking(node) or (at_top_only and isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)):
+            continue
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "relative import"
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+            yield from names
+            if any(name.partition(".")[2] not in modules for name in names):  # not for a package's files
+                yield str(node.module)
+        yield from imports(node, modules, at_top_only)
+
+
+def arrows_of(package: Path = PACKAGE) -> dict[str, set[str]]:
+    """Module -> modules of the package that it imports at run time, also inside functions."""
+    files = files_of(package)
+    start = f"{package.name}."
+    graph: dict[str, set[str]] = {}
+    for module, path in files.items():
+        names = {name.removeprefix(start) for name in imports(tree(path), files) if name.startswith(start)}
+        graph[module] = {name for name in names if name in files and name != module}
+    return graph
+
+
+def floors(arrows: Arrows, room: str) -> dict[str, int]:
+    """Floor of each module of a room, 1 for those that import no other one of it. Raises CycleError for a circle in it."""
+    modules = [module for module in arrows if module.startswith(f"{room}.")]
+    inside = {module: arrows[module].intersection(modules) for module in modules}
+    heights: dict[str, int] = {}
+    for module in TopologicalSorter(inside).static_order():
+        heights[module] = 1 + max((heights[other] for other in inside[module]), default=0)
+    return heights
+
+
+def main(package: Path) -> None:
+    files, arrows = files_of(package), arrows_of(package)
+    rooms: dict[str, list[str]] = {}
+    for module, path in files.items():
+        rooms.setdefault("" if path.parent == package else module.partition(".")[0], []).append(module)
+    print("room".ljust(14), *(name.rjust(8) for name in ("files", "nodes", "floors")))
+    for room, modules in sorted(rooms.items()):
+        nodes = sum(1 for module in modules for _ in ast.walk(tree(files[module])))
+        try:
+            height = str(max(floors(arrows, room).values(), default=1))
+        except CycleError as error:
+            height = f"circle: {' → '.join(error.args[1])}"
+        print((room or "(top)").ljust(14), str(len(modules)).rjust(8), str(nodes).rjust(8), height.rjust(8))
+    try:
+        TopologicalSorter(arrows).prepare()
+        print("no circle among all modules")
+    except CycleError as error:
+        print(f"circle: {' → '.join(error.args[1])}")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else PACKAGE)
