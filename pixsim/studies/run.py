@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -56,8 +56,9 @@ from pixsim.viewer.display import dot_edges_um, white_light, white_rate
 from pixsim.viewer.evaluate import reviewed
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.metric_registry import metrics_named, names_of
-from pixsim.viewer.metrics import DELTA_E, NoNumberError, columns_with_numbers
+from pixsim.viewer.metrics import DELTA_E, MetricRequest, NoNumberError, columns_with_numbers
 from pixsim.viewer.noise_budget import NoiseBudget, noise_budget
+from pixsim.viewer.raw_metrics import DETECTABILITY
 from pixsim.viewer.scene_light import PreparedScene, SceneCache, SceneLight, prepare_scene, registered_in
 from pixsim.viewer.score import Cause, FrameScore, LightError, Score, shown_mean
 from pixsim.viewer.screen import warn_of_clipping, white_header
@@ -563,7 +564,7 @@ def score_run(
     threshold = None
     if light is not None and start_of(settings, case.scene) is not None:
         d_prime = float(table.columns["detectability"][0])
-        threshold = threshold_of(job, job.request, light, d_prime, stage("look for the threshold"))
+        threshold = threshold_of(job, light, d_prime, partial(d_prime_in, case), stage("look for the threshold"))
     result = RunResult(
         *(job, image, light, rendered_run.plan, warned),
         chain=chain_of_first,
@@ -588,6 +589,17 @@ def lit_run(case: Case[Run], light: SceneLight, prepare: Callable[[Imaging, Scen
     prepared = prepare(imaging, light)
     warn_of_clipping(prepared.beyond_white, light.irradiance.header, imaging.display)
     return LitCase(replace(case, imaging=imaging), SceneCache(imaging, light), prepared)
+
+
+def d_prime_in(case: Case[Run], light: SceneLight) -> float:
+    """Return d′ of the first sensor of a case in some light. Raises NoNumberError if it has none."""
+    assert case.imaging is not None
+    imaging = case.imaging.changed(metrics=MetricRequest((DETECTABILITY,), case.settings.metric))
+    case = replace(case, imaging=imaging, sizes=dict.fromkeys(case.sizes, 1))
+    table = evaluate_points([lit_run(case, light, prepare_scene)], None, Workers())
+    for reason in table.reasons.values():
+        raise NoNumberError(reason)
+    return float(table.columns[DETECTABILITY.columns[0]][0])
 
 
 def sensors_at_first(lit: LitCase) -> list[LitCase]:

@@ -16,14 +16,8 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import without_warnings
 from pixsim.base.progress import Progress
 from pixsim.scene.scene import Scene
-from pixsim.sensor.motion_options import STILL
-from pixsim.studies.lights import Light, LightRequest, without_target
+from pixsim.studies.lights import Light, without_target
 from pixsim.studies.prepare import Job, loaded_scene, scene_with_view
-from pixsim.viewer.evaluate import reviewed_chain
-from pixsim.viewer.frame_under_test import FrameUnderTest
-from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.metric_registry import metrics_named
-from pixsim.viewer.metrics import MetricRequest
 from pixsim.viewer.raw_metrics import DETECTABILITY
 from pixsim.viewer.scene_light import SceneLight
 from pixsim.viewer.setting import Run
@@ -103,7 +97,9 @@ def start_of(settings: Run, source: Scene | object) -> float | None:
     return start
 
 
-def threshold_of(job: Job[Run], request: LightRequest, light: Light, d_prime: float, progress: Progress | None = None) -> Threshold:
+def threshold_of(
+    job: Job[Run], light: Light, d_prime: float, d_prime_in: Callable[[SceneLight], float], progress: Progress | None = None
+) -> Threshold:
     """Return where d′ of the target is the threshold, from scenes that are rendered again on the film of the run.
 
     d′ rises with a size, a contrast and the light, between their root and their square, until pixels are full; then it falls. The
@@ -111,16 +107,15 @@ def threshold_of(job: Job[Run], request: LightRequest, light: Light, d_prime: fl
     closes in on the values between.
 
     job : a run that asks for it
-    request, light : of the run
+    light : of the run
     d_prime : of the run
+    d_prime_in : returns d′ of the run's sensor in another light
     """
     settings, options, case = job.settings, job.settings.metric.detectability, job.cases[0]
     name, start = options.solve_for, start_of(settings, case.scene)
     assert name is not None
     assert start is not None
-    metrics = MetricRequest(metrics_named([DETECTABILITY.name]), settings.metric)
-    imaging = Imaging.of(settings, request.camera).changed(metrics=metrics, motion=STILL)
-    across = light.image.shape[1]
+    request, across = job.request, light.image.shape[1]
     load = partial(
         loaded_scene,
         str(case.scene.path),
@@ -138,11 +133,9 @@ def threshold_of(job: Job[Run], request: LightRequest, light: Light, d_prime: fl
         scene = scene.with_resolution(across)
         image, _ = request.render(scene, request.plan_of(scene))
         background = without_target(replace(request, scene=scene), across)
-        chain = reviewed_chain(imaging, SceneLight(image, background))
-        found = DETECTABILITY.compute(FrameUnderTest.of(chain, chain.capture("threshold", settings.seed)))[0]
         if progress:
             progress(min(next(number) / MOST_RENDERS, 1.0))
-        return logarithm(found)
+        return logarithm(d_prime_in(SceneLight(image, background)))
 
     def logarithm(d_prime: float) -> float:
         return math.log(max(d_prime, LEAST) / options.threshold)

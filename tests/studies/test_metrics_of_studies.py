@@ -238,20 +238,22 @@ SMALL: dict[str, Any] = {
 }
 
 
-def d_prime_at(name: str, value: float) -> float:
+def d_prime_at(name: str, value: float, **more: Any) -> float:
     at = TARGET | {name: value}
-    return pixsim.run("target", parameters=at, metric={"detectability": {"registrations": 2}}, **SMALL).statistics[0][
-        "detectability"
-    ]
+    result = pixsim.run("target", parameters=at, metric={"detectability": {"registrations": 2}}, **more, **SMALL)
+    return float(result.statistics[0]["detectability"])
 
 
-@pytest.mark.parametrize(("name", "threshold"), [("size_um", 2.0), ("contrast", 10.0)])
-def test_run_finds_the_contrast_and_the_size_at_which_a_target_is_seen(name: str, threshold: float) -> None:
-    """With the value that it says, d′ is the threshold: a search that ends within 1e-3 of the value."""
+MOVING: dict[str, Any] = {"motion": {"image_um_per_s": (20e3, 0.0)}}  # by its own length within the exposure
+
+
+@pytest.mark.parametrize(("name", "threshold", "more"), [("size_um", 2.0, {}), ("contrast", 10.0, {}), ("contrast", 10.0, MOVING)])
+def test_run_finds_the_contrast_and_the_size_at_which_a_target_is_seen(name: str, threshold: float, more: dict[str, Any]) -> None:
+    """With the value that it says, d′ is the threshold, of what moves too: a search that ends within 1e-3 of the value."""
     options = {"detectability": {"solve_for": name, "threshold": threshold, "registrations": 2}}
-    found = pixsim.run("target", parameters=TARGET, metric=options, **SMALL)
+    found = pixsim.run("target", parameters=TARGET, metric=options, **more, **SMALL)
     assert found.as_dict()["at_threshold"]["value"] == found.threshold.value
-    assert d_prime_at(name, found.threshold.value) == pytest.approx(threshold, rel=3e-3)
+    assert d_prime_at(name, found.threshold.value, **more) == pytest.approx(threshold, rel=3e-3)
 
 
 def test_command_says_at_which_value_a_target_is_seen_or_that_it_is_at_none(tmp_path: Path) -> None:
