@@ -27,7 +27,7 @@ from pixsim.scene.charts import DIE_MM, MAX_LP_PER_MM, MIN_FREQUENCY_LP_PER_MM
 from pixsim.scene.film import GREEN_NM
 from pixsim.scene.scene import Scene, load_scene
 from pixsim.scene.study_scene import StudyScene
-from pixsim.sensor.integration import MAX_PIXELS, pixels_along, pixels_on
+from pixsim.sensor.integration import MAX_PIXELS, check_pixel_count, pixels_along, pixels_on
 from pixsim.sensor.labels import label_of, labels_of
 from pixsim.sensor.pixel_options import PixelOptions
 from pixsim.sensor.reading import Readout
@@ -52,11 +52,12 @@ from pixsim.studies.sizes import (
 from pixsim.studies.without_effect import cases_to_try, settings_of_technology
 from pixsim.viewer.display import dot_edges_um
 from pixsim.viewer.display_options import Display
+from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.metric_options import has_target
-from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, Metric, MetricContext, columns_of_metrics
+from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, Metric, MetricContext, MetricRequest, columns_of_metrics
 from pixsim.viewer.scene_light import check_background
 from pixsim.viewer.screen import allows_single
-from pixsim.viewer.setting import Setting
+from pixsim.viewer.setting import Run, Setting
 from pixsim.viewer.without_effect import warn_of_settings_without_effect
 
 ALLOWED_DOTS = (8, 2048)  # of a display that is chosen; a user may set up to 4096
@@ -560,6 +561,43 @@ def check_metrics(
         with named(names[number] if names else ""):
             request.check(MetricContext(pixel.colour is not None, has_without, has_distance=has_distance))
     return None if without is None else without.identified
+
+
+def sensor_case(
+    case: Case[Run],
+    *,
+    repeats: int = 1,
+    border_um: float | None = None,
+    units: str | None = None,
+    request: MetricRequest | None = None,
+    **of_imaging: bool,
+) -> Case[Run]:
+    """Return the case of one sensor with its imaging and sizes, after the checks that hold for every command.
+
+    case : with its complete settings, its source and its camera
+    repeats : number of sensors of the kind
+    border_um : width that is not scored; None takes that of its own pixels, with room for what moves
+    units : of light in files that do not state them
+    request : metrics; None takes ΔE and those of the settings
+    of_imaging : further fields of `Imaging`, such as `is_run`
+
+    Raises PixsimError for metrics that mean nothing for the pixel, and if the die has too many pixels, or too few dots.
+    """
+    run, die_um, pitch_um = case.settings, case.camera.die_um, case.settings.pixel.pitch_um
+    without = check_metrics(run, [run.pixel], case.source, case.without, units)
+    check_pixel_count(pixels_on(die_um, pitch_um), pitch_um)
+    imaging = Imaging.of(run, case.camera)
+    border_um = imaging.scored_border_um if border_um is None else border_um
+    dot_edges_um(die_um, pitch_um, run.display, border_um)
+
+    request = request or metrics_of(with_delta_e(run))
+    imaging = imaging.changed(border_um=border_um, metrics=request, **of_imaging)
+    return replace(case, without=without, imaging=imaging, stream_has_pitch=False, sizes={pitch_um: repeats})
+
+
+def with_delta_e(run: Run) -> Run:
+    """Return a run that is judged by ΔE first, and then by its metrics."""
+    return run.model_copy(update={"metrics": tuple(dict.fromkeys((DELTA_E.name, *run.metrics)))})
 
 
 def _checked(case: Case[Study], source: Scene | SpectralImage, camera: Camera, without: SpectralImage | None = None) -> Case[Study]:

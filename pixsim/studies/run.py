@@ -27,7 +27,7 @@ from pixsim.scene.convergence import without_clock
 from pixsim.scene.packaged import packaged_scenes
 from pixsim.scene.plan import Plan
 from pixsim.scene.scene import Scene
-from pixsim.sensor.integration import check_pixel_count, collecting_area_um2, pixels_on
+from pixsim.sensor.integration import collecting_area_um2
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
 from pixsim.sensor.readout import Frame
@@ -41,7 +41,7 @@ from pixsim.studies.files import scene_table
 from pixsim.studies.film_error import light_error_and_limit
 from pixsim.studies.lights import Light, rendered_light
 from pixsim.studies.paired import NOISE_SENSORS, mean_interval, spread_interval
-from pixsim.studies.prepare import Job, check_metrics, choose_view, is_picture, loaded_scene, scene_with_view, with_view
+from pixsim.studies.prepare import Job, choose_view, is_picture, loaded_scene, scene_with_view, sensor_case, with_view
 from pixsim.studies.sentences import run_answers
 from pixsim.studies.sizes import metrics_of
 from pixsim.studies.store import Store
@@ -52,7 +52,7 @@ from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.dark_clip import clip_words, clips_dark, dark_clip
 from pixsim.viewer.develop_options import of_python
-from pixsim.viewer.display import dot_edges_um, white_light, white_rate
+from pixsim.viewer.display import white_light, white_rate
 from pixsim.viewer.evaluate import reviewed
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.metric_registry import metrics_named, names_of
@@ -146,7 +146,6 @@ def prepare(
         whole = scene.camera(settings.camera, settings.lens)
     known = scene or picture
     assert known is not None
-    without = check_metrics(settings, [settings.pixel], known, units=units)
     start_of(settings, scene)
     if judges_settings:
         imaging = Imaging.of(settings, whole).changed(metrics=metrics_of(settings))
@@ -154,24 +153,12 @@ def prepare(
     camera = whole.window(settings.window_mm)
     of_sheet = settings.pixel.technology == NO_TECHNOLOGY
     view = choose_view(pitch_um, camera, settings.display, scene) if of_sheet else {}
-    check_pixel_count(pixels_on(camera.die_um, pitch_um), pitch_um)
-    border_um = Imaging.of(settings, camera).scored_border_um
-    dot_edges_um(camera.die_um, pitch_um, settings.display, border_um)
     complete = with_view(settings, view).model_copy(update={"camera": whole.options})
     seen = known if scene is None else scene_with_view(scene, view)
-    with_delta_e = complete.model_copy(update={"metrics": tuple(dict.fromkeys((DELTA_E.name, *complete.metrics)))})
-    imaging = Imaging.of(complete, camera).changed(border_um=border_um, metrics=metrics_of(with_delta_e), full=full, is_run=True)
-    case = Case(
-        complete,
-        sensor=imaging.technology.name,
-        resolved=(seen, camera),
-        without=without,
-        imaging=imaging,
-        stream=("evaluate", settings.seed),
-        stream_has_pitch=False,
-        sizes={pitch_um: repeats},
-        frames=frames,
-    )
+    case = Case(complete, resolved=(seen, camera), stream=("evaluate", settings.seed), frames=frames)
+    case = sensor_case(case, repeats=repeats, units=units, full=full, is_run=True)
+    assert case.imaging is not None
+    case = replace(case, sensor=case.imaging.technology.name)
     job = Job(
         cases=(case,),
         asked=settings,

@@ -35,7 +35,7 @@ from pixsim.studies.files import QUICK_REPEATS, checked_study, config_layers, st
 from pixsim.studies.layers import STUDY_ALONE, check_asked, parts_of_study, unused_settings
 from pixsim.studies.lights import LightRequest, light_request
 from pixsim.studies.paired import FEWEST_PAIRS
-from pixsim.studies.prepare import Job, check_metrics, choose_view, is_picture, loaded_scene, with_view
+from pixsim.studies.prepare import Job, choose_view, is_picture, loaded_scene, sensor_case, with_delta_e, with_view
 from pixsim.studies.settings import Study, owner_of
 from pixsim.studies.sizes import further_displays, metrics_of
 from pixsim.studies.table import Label
@@ -44,7 +44,6 @@ from pixsim.viewer.display import dot_edges_um
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.merging import merge
-from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.setting import Effort, Run, Setting
 from pixsim.viewer.settings_file import packaged_sensors, settings_layer, warn_of_mixed_sensors
 from pixsim.viewer.without_effect import GivenSettings, changed_settings, warn_of_settings_without_effect
@@ -405,9 +404,6 @@ def group_of(
     if is_picture(scene):
         raise invalid("--scene", f"'{scene}', a picture", "a Mitsuba scene, which each sensor sees through its own lens")
     loaded = loaded_scene(scene, settings.scene, settings.resolution, settings.display, variant=variant, sensor=sensor)
-    for case in chosen:
-        with named(case.sensor):
-            check_metrics(settings, [case.settings.pixel], loaded)
     whole = _whole_cameras(loaded, chosen)
     if settings.window_mm is not None:
         whole[0].window(settings.window_mm)
@@ -440,8 +436,6 @@ def group_of(
         if highest is not None:
             on_sensor = on_other_die(float(highest), cameras[0], camera)
             of_sensor = loaded.with_parameters(**{MAX_LP_PER_MM: repr(on_sensor)})
-        with named(case.sensor):
-            dot_edges_um(camera.die_um, run.pixel.pitch_um, settings.display, border * camera.die_um[1])
         own = {"camera": camera.options, "lens": camera.lens_options, "pixel": run.pixel, "exposure": run.exposure}
         complete.append(replace(case, settings=settings.model_copy(update=own), resolved=(of_sensor, camera)))
     first_camera, pitch_um = complete[0].camera, complete[0].settings.pixel.pitch_um
@@ -674,20 +668,10 @@ def _complete(case: Case[Run], group: SensorGroup, repeats: int) -> Case[Run]:
 
     Its random streams do not name the sensor, so that equal sensors give equal frames.
     """
-    with named(case.sensor):
-        asked = group.first.settings.model_copy(
-            update={"metrics": tuple(dict.fromkeys((DELTA_E.name, *group.first.settings.metrics)))}
-        )
-        imaging = Imaging.of(case.settings, case.camera).changed(
-            border_um=group.border_um(case.camera), single=True, metrics=metrics_of(asked, repeats)
-        )
-    return replace(
-        case,
-        imaging=imaging,
-        stream=("compare", case.settings.seed),
-        stream_has_pitch=False,
-        sizes={case.settings.pixel.pitch_um: repeats},
-    )
+    request = metrics_of(with_delta_e(group.first.settings), repeats)
+    with named(group.words), named(case.sensor):
+        complete = sensor_case(case, repeats=repeats, border_um=group.border_um(case.camera), request=request, single=True)
+    return replace(complete, stream=("compare", case.settings.seed))
 
 
 Match = Literal["view", "lens", "own"]
