@@ -19,7 +19,7 @@ ENUMERATOR = re.compile(r"(\(?\w{1,3}[.)] |[-+•] )")  # what would begin a lis
 # Where short names are looked for.
 ROOMS = (
     *pixsim._MODULES, *pixsim._MODULES.values(), "scene.scene", "viewer.score", "studies.result", "sensor.raw", "measure.sfr",
-    "sensor.technology", "studies.optimum",
+    "sensor.technology", "studies.curve", "studies.optimum",
 )  # fmt: skip
 
 

@@ -36,12 +36,11 @@ if TYPE_CHECKING:
     from pixsim.sensor.raw import read_frame as read_frame, write_frame as write_frame
     from pixsim.sensor.readout import Frame as Frame, capture as capture, make_sensor as make_sensor
     from pixsim.sensor.technology import Technology as Technology, load_technology as load_technology
-    from pixsim.studies.compare import compare as compare
+    from pixsim.studies.compare import compare as compare, compare_results as compare_results
     from pixsim.studies.run import run as run
     from pixsim.studies.settings import Study as Study
     from pixsim.studies.study import study as study
     from pixsim.studies.sweep import sweep as sweep
-    from pixsim.studies.two_results import compare_results as compare_results
     from pixsim.verification.ladder import accuracy as accuracy
     from pixsim.viewer import display as display, judges as judges, scielab as scielab
     from pixsim.viewer.colour_matrix import colour_matrix as colour_matrix
@@ -89,8 +88,7 @@ _NAMES_OF = {
     "viewer.evaluate": "evaluate",
     "viewer.other_pictures": "score_pictures",
     "studies.study": "study",
-    "studies.compare": "compare",
-    "studies.two_results": "compare_results",
+    "studies.compare": "compare compare_results",
     "report.write": "write_report",
     "studies.run": "run",
     "studies.sweep": "sweep",

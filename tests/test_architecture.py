@@ -40,8 +40,7 @@ SETTINGS = {
     "sensor.motion_options", "sensor.exposure",
     "sensor.labels", "sensor.number", "sensor.pixel_options", "sensor.quantities", "sensor.spread", "sensor.stack_options",
     "sensor.unit_slips",
-    "studies.axes", "studies.settings", "studies.layers",
-    "viewer.develop_options", "viewer.display_options", "viewer.merging",
+    "studies.settings", "viewer.develop_options", "viewer.display_options", "viewer.merging",
     "viewer.metric_options", "viewer.setting", "viewer.settings_file",
 }  # fmt: skip
 # Package -> packages of which it knows the settings, and nothing that computes.
@@ -197,6 +196,21 @@ def test_studies_have_few_floors() -> None:
     heights = floors(arrows(), "studies")
     assert max(heights.values()) <= 10
     assert len(heights) > 10, "the graph is that of the room"
+
+
+# Functions of a table, and what of studies/ they may import, also by way of others: no command, no page and no file.
+ANSWERS = ("claims", "curve", "optimum", "paired", "regret", "uncertainty")
+BELOW_ANSWERS = {*ANSWERS, "design", "film_error", "merit", "sentences", "settings", "table"}
+
+
+@pytest.mark.parametrize("module", ANSWERS)
+def test_functions_of_a_table_import_no_command(module: str) -> None:
+    reached, left = set[str](), {f"studies.{module}"}
+    while left:
+        reached |= left
+        left = {other for name in left for other in arrows()[name] if other.startswith("studies.")} - reached
+    assert {name.removeprefix("studies.") for name in reached} <= BELOW_ANSWERS
+    assert not any(name.startswith(("report.", "cli.")) for reader in reached for name in arrows()[reader])
 
 
 def test_floors_are_those_of_the_longest_chain() -> None:

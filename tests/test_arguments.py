@@ -141,9 +141,9 @@ OWN: dict[str, Any] = {
     "pixsim.edge_response.picture": lambda: EDGE, "pixsim.sfr.image": "edge.npy",
     "pixsim.sensor.photodiode.charge_from_total_e.integration_s": np.full(3, 0.1),
     "pixsim.read_frame.path": "raw.npz", "pixsim.Technology.with_numbers.values": {"prnu": 0.01},
-    "pixsim.Study.options_of.technology": "0.35um", "pixsim.studies.sizes.pixel_of.technology": "0.35um",
-    "pixsim.studies.sizes.physics_of.technology": "0.35um", "pixsim.studies.sizes.photodiode_widths_um.technology": "0.35um",
-    "pixsim.studies.sizes.photodiode_widths_um.pitch_um": np.array([5.0, 6.0]), "pixsim.load_scene.scene": "flat",
+    "pixsim.Study.options_of.technology": "0.35um", "pixsim.studies.design.pixel_of.technology": "0.35um",
+    "pixsim.studies.design.physics_of.technology": "0.35um", "pixsim.studies.design.photodiode_widths_um.technology": "0.35um",
+    "pixsim.studies.design.photodiode_widths_um.pitch_um": np.array([5.0, 6.0]), "pixsim.load_scene.scene": "flat",
     "pixsim.load_pixel.file": "imx477", "pixsim.sensor.pixel.absorbed_efficiency.quantum_efficiency": 0.5,
     "pixsim.sensor.pixel.absorbed_efficiency.at_nm": 525.0, "pixsim.sensor.pixel.absorbed_efficiency.depth_um": 5.0,
     "pixsim.load_scene.sensor": None, "pixsim.viewer.display.average_axis.edges_um": np.array([0.0, 100.0, 200.0]),
@@ -186,8 +186,8 @@ NOT_CALLED = {
     "pixsim.accuracy": "its own tests below", "pixsim.verification": "a whole survey",
     "pixsim.datasheet": "its own tests below", "pixsim.measure.datasheet": "a whole measurement",
     "pixsim.explore": "it opens a page", "pixsim.run": "its own tests below", "pixsim.studies.run.RunResult": "a whole run",
-    "pixsim.studies.result.StudyResult": "a whole study", "pixsim.studies.result.Curve": "of a whole study",
-    "pixsim.studies.two_results.ResultsComparison": "two folders",
+    "pixsim.studies.result.StudyResult": "a whole study", "pixsim.studies.curve.Curve": "of a whole study",
+    "pixsim.studies.compare.ResultsComparison": "two folders",
     "pixsim.PixsimError": "takes any text", "pixsim.studies.table.Table": "the rows of a sweep",
 }  # fmt: skip
 ANY_VALUE = {"object", "Any"}

@@ -25,11 +25,11 @@ from pixsim.sensor.integration import pixels_along
 from pixsim.sensor.pixel_options import Pixel, is_data_sheet
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.unit_slips import unit_slips
+from pixsim.studies.design import technology_of
 from pixsim.studies.files import load_study
 from pixsim.studies.prepare import check_technologies, prepare
 from pixsim.studies.sensors import sensor_layer
 from pixsim.studies.settings import Study
-from pixsim.studies.sizes import technology_of
 from pixsim.viewer.settings_file import packaged_sensors, run_settings, settings_layer
 
 SHEET: dict[str, Any] = {

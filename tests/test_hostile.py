@@ -44,7 +44,7 @@ from pixsim.scene.scene import load_scene
 from pixsim.sensor.technology import load_technology
 from pixsim.show import figures
 from pixsim.studies.files import load_study
-from pixsim.studies.store import COLUMNS, Store
+from pixsim.studies.table import COLUMNS, Store
 
 DATA = Path(pixsim.__file__).parent / "data"
 FEW = {"shape": (60, 60), "stack_frames": 8}  # size of a data sheet's experiment whose numbers do not matter

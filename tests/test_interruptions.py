@@ -35,7 +35,7 @@ from pixsim.base.locks import LOCK, PARTIAL_FILE, PARTIAL_FOLDER, TEMPORARY, loc
 from pixsim.cli import process as cli_process
 from pixsim.cli.commands import said_what_is_kept
 from pixsim.scene.charts import write_chart
-from pixsim.studies.store import COLUMNS, Store
+from pixsim.studies.table import COLUMNS, Store
 
 SMALL = "--resolution 64 --display.dots 64"
 LINES = {

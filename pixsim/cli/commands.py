@@ -25,7 +25,7 @@ from pixsim.cli import options as common
 from pixsim.cli.options import DEFAULT_OUT, HELP, HELP_ALL, Json, Out, SceneOptions, answer, app, field_option, given, say, stages
 from pixsim.cli.process import interruption
 from pixsim.optics.lens_options import LensOptions
-from pixsim.studies.layers import study_layers
+from pixsim.studies.settings import study_layers
 from pixsim.viewer.setting import Run
 
 RawFormat = Literal["tiff", "png", "npz"]
@@ -321,11 +321,10 @@ def study(
     from pixsim.report.uncertainty import uncertainty_files
     from pixsim.show.render import write
     from pixsim.studies.design import MANY_CASES, MAX_CASES, check_number, number_of_cases
-    from pixsim.studies.drawn_types import asked_of, check_types
     from pixsim.studies.dry_run import fitting_jobs
     from pixsim.studies.engine import Workers, workers_here
     from pixsim.studies.files import checked_study, config_layers, read_study, uncertainty_of
-    from pixsim.studies.prepare import prepare
+    from pixsim.studies.prepare import asked_of, check_types, prepare
     from pixsim.studies.regret import condition_regrets
     from pixsim.studies.result import CasesResult
     from pixsim.studies.study import run_prepared
@@ -390,7 +389,7 @@ def said_what_is_kept(folder: Path) -> Iterator[None]:
     A study rewrites a file of rows when it begins to evaluate, and leaves its own rows only. Those of a file that it has not
     rewritten yet may be of other settings: they are not counted.
     """
-    from pixsim.studies.store import Store
+    from pixsim.studies.table import Store
 
     def files() -> dict[Path, int]:
         path = folder / "results.csv"
@@ -462,7 +461,7 @@ def compare(
     import_less()
     if len(sensors) == TWO_FOLDERS and all(Path(path).is_dir() for path in sensors):
         from pixsim.show.document import Document
-        from pixsim.studies.two_results import compare_results
+        from pixsim.studies.compare import compare_results
 
         compared = compare_results(*sensors)
         title, facts = " against ".join(compared.names), tuple(compared.facts())

@@ -25,9 +25,9 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.report.run import run_document, run_settings_text
 from pixsim.show.pictures import delta_e_colours, display_codes, png_bytes, scale_end
 from pixsim.show.render import text
+from pixsim.studies.design import metrics_of
 from pixsim.studies.prepare import Job
 from pixsim.studies.run import LIGHT_FILE, LitRun, RunResult, light_run, prepare, score_run
-from pixsim.studies.sizes import metrics_of
 from pixsim.viewer.metric_registry import METRICS
 from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.scene_light import RecentScenes

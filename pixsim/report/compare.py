@@ -56,14 +56,13 @@ from pixsim.show.pictures import (
 )
 from pixsim.show.render import PAGE
 from pixsim.show.sentences import rounded, setting_value, span
-from pixsim.studies.axes import Condition, paths_of
 from pixsim.studies.comparison import ComparedSensor, Comparison, common_words, sensor_words, shown_probability
+from pixsim.studies.design import frame_cost
 from pixsim.studies.dry_run import PAGE_S, START_S, Cost, render_bytes, render_seconds
 from pixsim.studies.files import scene_table, settings_text, without_files_of_axis
 from pixsim.studies.merit import LightLevel
 from pixsim.studies.sensors import OF_A_SENSOR, SHARED, ComparisonJob, SensorGroup, pixels_of
-from pixsim.studies.settings import Study
-from pixsim.studies.sizes import frame_cost
+from pixsim.studies.settings import Condition, Study, paths_of
 from pixsim.studies.uncertainty import FEW_SENSORS, TYPES_FILE, PairUncertainty
 from pixsim.viewer.develop_options import TONE_CURVES
 from pixsim.viewer.setting import Run

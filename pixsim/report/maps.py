@@ -24,12 +24,11 @@ from pixsim.optics.camera import Camera
 from pixsim.sensor.labels import labels_of
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, Look, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate
-from pixsim.studies.axes import Axis, setting_path
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY
-from pixsim.studies.design import BASE, of_technology
-from pixsim.studies.result import CasesResult, Curve, StudyResult, closed_range, fresnel_column, range_columns
-from pixsim.studies.settings import Study
-from pixsim.studies.sizes import CUTOFF_NM, cutoff_pitch_um
+from pixsim.studies.curve import Curve
+from pixsim.studies.design import BASE, CUTOFF_NM, cutoff_pitch_um, of_technology
+from pixsim.studies.result import CasesResult, StudyResult, closed_range, fresnel_column, range_columns
+from pixsim.studies.settings import Axis, Study, setting_path
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

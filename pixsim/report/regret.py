@@ -9,9 +9,9 @@ import numpy as np
 from pixsim.base.arrays import Array
 from pixsim.show.figures import LOOKS, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate
+from pixsim.studies.curve import Curve
 from pixsim.studies.paired import mean_interval
 from pixsim.studies.regret import Regrets
-from pixsim.studies.result import Curve
 
 REGRETS = "regrets"  # name of the figure
 MAX_REGRET_PERCENT = 100.0  # that is drawn

@@ -44,6 +44,8 @@ from pixsim.show.pictures import scale
 from pixsim.show.render import lines
 from pixsim.show.sentences import capital
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, findings
+from pixsim.studies.curve import Curve, shown_mean_and_ci95
+from pixsim.studies.design import imaging_of
 from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.merit import (
     NEQ,
@@ -59,18 +61,9 @@ from pixsim.studies.merit import (
     system_mtf,
 )
 from pixsim.studies.regret import Regrets, metric_regrets
-from pixsim.studies.result import (
-    Curve,
-    StudyResult,
-    closed_range,
-    curve_table,
-    delta_e_against_pitch,
-    range_columns,
-    shown_mean_and_ci95,
-)
+from pixsim.studies.result import StudyResult, closed_range, curve_table, delta_e_against_pitch, range_columns
 from pixsim.studies.sentences import film_words, is_partly_filled, optima_table, optimum_parts, study_facts
 from pixsim.studies.settings import Study
-from pixsim.studies.sizes import imaging_of
 
 if TYPE_CHECKING:
     from pixsim.viewer.noise_budget import NoiseBudget

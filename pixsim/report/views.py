@@ -34,7 +34,8 @@ from pixsim.show.pictures import (
     window_at,
     worst_window,
 )
-from pixsim.studies.result import Curve, StudyResult
+from pixsim.studies.curve import Curve
+from pixsim.studies.result import StudyResult
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -20,14 +20,14 @@ from pixsim.sensor.pixel import derive, fill_factor_law
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.technology import Technology, with_fill_factor_law
-from pixsim.studies.design import BASE
+from pixsim.studies.design import BASE, technology_of
 from pixsim.studies.sentences import interval_words
 from pixsim.studies.settings import Study
-from pixsim.studies.sizes import technology_of
 from pixsim.viewer.display import picture_size_um
 
 if TYPE_CHECKING:
-    from pixsim.studies.result import CasesResult, Curve, StudyResult
+    from pixsim.studies.curve import Curve
+    from pixsim.studies.result import CasesResult, StudyResult
 
 # Figure 2 of Chen, Catrysse, El Gamal and Wandell (2000).
 FIGURE_2_INTEGRATION_S = 0.030

@@ -1,39 +1,281 @@
-"""Cases: sensors with complete settings, and what tells them from the other ones of a command.
+"""Cases: sensors with complete settings, their pixel sizes, and the keys of what is made of them.
 
 The axes and conditions of a study make cases of it, each a study of pixel sizes without axes. A study without them is its own only
-case. In a comparison each sensor is a case, under each condition.
+case. In a comparison each sensor is a case, under each condition. Each stage states the settings that it depends on once.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 from itertools import product
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
+import numpy as np
 from pydantic import ValidationError
 
+from pixsim.base import cache
+from pixsim.base.arguments import checks_arguments
+from pixsim.base.arrays import Array, PositiveArray
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.notes import warn
 from pixsim.base.problems import explain
+from pixsim.base.records import content_hash
+from pixsim.light.quantities import MIN_FRACTION
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
+from pixsim.optics.diffraction import cutoff_cy_per_mm
+from pixsim.scene.film import GREEN_NM
+from pixsim.sensor.integration import pixels_on
 from pixsim.sensor.labels import labels_of
-from pixsim.studies.axes import Axis, AxisPoint, case_folder, check_case_folders
-from pixsim.studies.settings import Study
-from pixsim.studies.sizes import technology_of
-from pixsim.studies.table import Label
+from pixsim.sensor.motion import border_with_room_um
+from pixsim.sensor.pixel import PixelPhysics, derive, fill_factor_law, largest_pitch_um, pitch_for_fill_factor_um
+from pixsim.sensor.pixel_options import NO_TECHNOLOGY, Pixel
+from pixsim.sensor.quantities import Pitch
+from pixsim.sensor.technology import Technology, load_technology, with_fill_factor_law
+from pixsim.studies.settings import Axis, AxisPoint, Study, case_folder, check_case_folders
+from pixsim.studies.table import Label, Row
+from pixsim.viewer.display import dot_edges_um
+from pixsim.viewer.display_options import Display
+from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.merging import merge
+from pixsim.viewer.metric_options import has_target
+from pixsim.viewer.metric_registry import metrics_named
+from pixsim.viewer.metrics import MetricRequest
 from pixsim.viewer.review import warn_of_review
 from pixsim.viewer.setting import Setting
 
 if TYPE_CHECKING:
     from pixsim.scene.scene import Scene
+    from pixsim.studies.evaluate import LitCase
     from pixsim.viewer.display_options import Display
     from pixsim.viewer.imaging import Imaging
     from pixsim.viewer.scene_light import SceneLight
+
+# --- pixels of a study ------------------------------------------------------------------------------------------------------------
+
+
+@checks_arguments
+def pixel_of(study: Study, technology: str, pitch_um: Pitch) -> Pixel:
+    """Pixel of a study in a technology, by name or path, at a pitch."""
+    sensor = study.sensors.get(technology)
+    if sensor is None:
+        return Pixel(**study.pixel.model_dump() | {"technology": technology, "pitch_um": pitch_um})
+    measured_um = sensor.data_sheet_pitch_um or sensor.pitch_um
+    return Pixel(**sensor.model_dump() | {"pitch_um": pitch_um, "data_sheet_pitch_um": measured_um})
+
+
+def technology_of(study: Study, name: str) -> Technology:
+    """Return a technology of a study with the numbers of `Study.process` in place of the file's.
+
+    That of a data sheet (`Study.sensors`) is the one that it names, or none.
+
+    Raises PixsimError as `load_technology` and `Technology.with_numbers` do, and for process numbers of a data sheet.
+    """
+    sensor, values = study.sensors.get(name), study.process.get(name)
+    technology = load_technology(sensor.technology if sensor else name)
+    if not values:
+        return technology
+    if technology.name == NO_TECHNOLOGY:
+        hint = "Put them into [pixel]."
+        raise invalid(f"process.{name}", ", ".join(values), "no process numbers for a data sheet", hint)
+    return technology.with_numbers(values, f"process.{name}")
+
+
+@checks_arguments
+def physics_of(study: Study, technology: str, pitch_um: Pitch, process: Technology | None = None) -> PixelPhysics:
+    """Return the physical properties of a study's pixel, with the process numbers of `Study.process`.
+
+    Parameters
+    ----------
+    technology : a name or path as in `Study.technologies`
+    pitch_um : centre-to-centre distance
+    process : the result of `technology_of`, if available
+
+    Raises PixsimError as `derive` and `technology_of` do.
+    """
+    return derive(pixel_of(study, technology, pitch_um), process or technology_of(study, technology))
+
+
+@checks_arguments
+def photodiode_widths_um(study: Study, technology: str, pitch_um: PositiveArray) -> Array:
+    """Return the widths √fill factor · pitch in µm of the square photodiodes of a study's pixels, (n,) as the pitches.
+
+    technology : a name or path as in `Study.technologies`
+
+    Raises PixsimError as `technology_of` does.
+    """
+    options = study.options_of(technology)
+    process = with_fill_factor_law(technology_of(study, technology), options.fill_factor_law)
+    fill_factor = options.fill_factor or np.maximum(fill_factor_law(pitch_um, process), MIN_FRACTION)
+    return np.asarray(np.sqrt(fill_factor) * pitch_um)
+
+
+CUTOFF_NM = GREEN_NM  # at which a lens limits pixels, as it limits the film of a render
+BYTES_PER_PIXEL = 72.0  # of a frame, its fixed pattern and its noise, while it is simulated
+FRAME_S, PIXEL_S, DOT_S = 6e-4, 2e-7, 1.6e-7  # of a frame, its pixels and its dots, on one core of an ordinary machine
+DOT_BYTES = 150.0
+Sizes = dict[float, int]  # pitch in µm -> sensors, in order
+Sampling = dict[str, Sizes]  # technology -> its pixel sizes, in order
+
+
+_equal_ratios = lru_cache(np.geomspace)  # which the cases of a study share
+
+
+def study_pitches_um(study: Study, technology: str) -> Array:
+    """Return the pitches of a technology in µm, (P,). A range ends where the stack allows no microlens (`largest_lens_um`).
+
+    Raises PixsimError if there are too few, the range is empty, or the stack allows no microlens on the largest of given pitches.
+    """
+    largest_um = largest_lens_um(study, technology)
+    if study.pitch.values_um is not None:
+        pitches = np.unique(study.pitch.values_um)
+        if pitches.size < 5:
+            raise invalid("pitch.values_um", pitches.tolist(), "at least 5 different pitches")
+        if pitches.max() > largest_um:
+            expected = f"at most {largest_um:g} µm, √π times the height of the stack of {technology}"
+            hint = "Leave out larger ones, raise pixel.stack.height_um, or take pixel.stack.microlens = 'none'."
+            raise invalid("pitch.values_um", f"pixels up to {pitches.max():g} µm under microlenses", expected, hint)
+        return pitches
+    (low, high), source = study.open_range_um, "pitch.min_um"
+    if low is None:
+        process = with_fill_factor_law(technology_of(study, technology), study.options_of(technology).fill_factor_law)
+        if process.name == NO_TECHNOLOGY:
+            got, expected = f"no value, with {technology} beside other technologies", "a smallest pixel size, or pitch.values_um"
+            raise invalid("pitch.min_um", got, expected, "A data sheet has no fill factors, from which it would follow.")
+        low = pitch_for_fill_factor_um(study.pitch.min_fill_factor, process)
+        source = f"where {technology} has a fill factor of {study.pitch.min_fill_factor:g}"
+    if low >= largest_um:
+        hint = "Raise pixel.stack.height_um, or take pixel.stack.microlens = 'none'."
+        raise invalid(
+            "pitch",
+            f"sizes from {low:.4g} µm, {source}",
+            f"below {largest_um:g} µm, √π times the height of the stack of {technology}",
+            hint,
+        )
+    high = min(high, largest_um)
+    if low >= high:
+        raise invalid("pitch.max_um", high, f"above {low:.4g} µm, {source}")
+    return _equal_ratios(low, high, study.pitch.count).round(4)  # a new array
+
+
+def largest_lens_um(study: Study, technology: str) -> float:
+    """Return the widest pixel on which a technology's stack allows a microlens, rounded down; infinity without microlenses."""
+    largest_um = largest_pitch_um(study.options_of(technology), technology_of(study, technology))
+    return largest_um if math.isinf(largest_um) else math.floor(1e4 * largest_um) / 1e4
+
+
+def cutoff_pitch_um(camera: Camera) -> float:
+    """Return the pitch whose Nyquist frequency is the cut-off of a lens at `CUTOFF_NM`, λ/(4 sin α)."""
+    return 1e3 / (2 * float(cutoff_cy_per_mm(CUTOFF_NM, camera.effective_f_number)))
+
+
+def largest_pixel_um(study: Study, technology: str) -> float:
+    """Return the largest pixel of a study's range in a technology: `pitch.max_um`, or the widest with a microlens."""
+    return min(study.pitch.max_um, largest_lens_um(study, technology))
+
+
+def imaging_of(study: Study, camera: Camera, technology: str, pitch_um: float) -> Imaging:
+    """Return what lies between the light and the score of a pixel of a study, without axes.
+
+    camera : of the window
+    """
+    return Imaging(
+        camera,
+        pixel_of(study, technology, pitch_um),
+        technology_of(study, technology),
+        study.exposure,
+        study.display,
+        correction=study.correction,
+        develop=study.develop,
+        motion=study.motion,
+        border_um=border_on_um(study, camera),
+    )
+
+
+def border_on_um(study: Study, camera: Camera) -> float:
+    """Return the width on each side of a camera's die that a study does not score: that of its pixels, and room for what moves.
+
+    Raises PixsimError if nothing would be left.
+    """
+    if not study.motion.is_on:
+        return study.border_um
+    pixels = [
+        (float(um), study.options_of(name).bin_side)
+        for name in study.technologies
+        for um in (*study_pitches_um(study, name)[[0, -1]], study.pitch.largest_um)
+    ]
+    return border_with_room_um(study.border_um, study.motion, study.exposure, camera, pixels)
+
+
+def metrics_of(settings: Setting, repeats: int = 1) -> MetricRequest:
+    """Return which metrics judge frames, so many of which share the registrations of a pixel size."""
+    return MetricRequest(metrics_named(settings.metrics), settings.metric, repeats)
+
+
+def first_sampling(study: Study) -> Sampling:
+    """Return the sampling that a study starts with: `repeats` sensors of each of its pitches."""
+    return {name: dict.fromkeys(study_pitches_um(study, name).tolist(), study.repeats) for name in study.technologies}
+
+
+class FrameCost(NamedTuple):
+    """Time and memory of one frame and its score."""
+
+    seconds: float
+    memory_bytes: float
+
+
+def frame_cost(camera: Camera, pitch_um: float, *displays: Display) -> FrameCost:
+    """Estimate one frame of a pitch and its ΔE on each display."""
+    pixels = math.prod(pixels_on(camera.die_um, pitch_um))
+    dots = [pixels if display.raster == "one_to_one" else dots_on(camera, display) for display in displays]
+    seconds = FRAME_S + pixels * PIXEL_S + sum(dots) * DOT_S
+    return FrameCost(seconds, pixels * BYTES_PER_PIXEL + max(dots) * DOT_BYTES)
+
+
+def dots_on(camera: Camera, display: Display) -> int:
+    """Return the number of dots that show a die, with the raster fixed_size."""
+    height_um, width_um = camera.die_um
+    return display.dots * max(1, round(display.dots * height_um / width_um))
+
+
+DOTS_FACTORS = (0.5, 2.0)
+DOTS_BOUNDS = (8, 4096)  # of `Display.dots`
+
+
+def further_displays(
+    stated: Display, display: Display, die_um: tuple[float, float], pitch_um: float, border_um: float
+) -> tuple[Display, ...]:
+    """Return the displays with half and with twice the dots, as near to that as a display may be, and with a dot within the border.
+
+    There are none where dots and viewing distance were stated, or where dots are pixels.
+
+    stated : as the user stated it
+    display : with the dots that pixsim chose
+    die_um, pitch_um, border_um : of the pixels, as for `dot_edges_um`
+
+    >>> [other.dots for other in further_displays(Display(dots=600), Display(dots=600), (1e3, 1e3), 5.0, 7.5)]
+    [300, 1200]
+    """
+    if display.raster != "fixed_size" or {"dots", "samples_per_deg"} <= stated.model_fields_set:
+        return ()
+    low, high = DOTS_BOUNDS
+    displays: dict[int, Display] = {}
+    for factor in DOTS_FACTORS:
+        other = display.model_copy(update={"dots": min(max(round(factor * display.dots), low), high)})
+        try:
+            dot_edges_um(die_um, pitch_um, other, border_um)
+        except PixsimError:
+            continue
+        if other.dots != display.dots:
+            displays[other.dots] = other
+    return tuple(displays.values())
+
+
+# --- cases ------------------------------------------------------------------------------------------------------------------------
 
 BASE = "base"  # the value of an axis where the study's own settings hold
 
@@ -284,3 +526,134 @@ def check_number(cases: int, evaluations: int, agreed: bool) -> None:
     if cases > 1 and evaluations > MAX_UNASKED and not agreed:
         hint = "Give --yes (in Python agreed=True) to run it, or fewer values, pixel sizes or repeats; --dry-run states the time."
         raise invalid("cases", f"{evaluations} evaluations in {cases} cases", f"up to {MAX_UNASKED} without asking", hint)
+
+
+# --- keys -------------------------------------------------------------------------------------------------------------------------
+
+REPEATS_PER_TASK = 8  # after which a worker reports
+MOST_REPEATS = 10_000  # of a pitch
+CHECKED_REPEATS = 2  # whose frames are shown on further displays, too: enough to see whether an answer depends on the display
+COMPUTED_BY = ("mitsuba", "drjit", "colour-science")  # their versions are in each key, with pixsim's sources
+
+# The settings that each stage depends on beside those of the stage before it. The sensors decide on the noise and the film of a
+# render, and so does a part of the display.
+OF_LIGHT = (
+    *("scene", "camera", "lens", "seed", "tolerance_e", "render_noise", "resolution", "max_seconds", "window_mm"),
+    *(
+        "tolerance_delta_e",
+        "pitch",
+        "exposure",
+        "motion",
+        "correction",
+        "develop",
+        "pixel",
+        "sensors",
+        "process",
+        "technologies",
+        "display",
+    ),
+)
+OF_FRAME = ("exposure", "motion", "correction")  # beside the light, the pixel and the random streams
+
+
+def light_hash(study: Study) -> str:
+    """Return the hash of everything that a render depends on."""
+    settings = [study.model_dump(mode="json", include=set(OF_LIGHT))]
+    if has_target(study.metrics):
+        settings.append(study.metric.detectability.model_dump(mode="json", include={"without"}))
+    return content_hash(settings)
+
+
+@dataclass(frozen=True)
+class Fingerprints:
+    """Hashes of everything that the evaluations of a case depend on."""
+
+    lit: LitCase
+    _pixels: dict[float, str] = field(default_factory=dict, init=False, repr=False)
+    _keys: dict[float, list[str]] = field(default_factory=dict, init=False, repr=False)
+
+    @cached_property
+    def imaging(self) -> str:
+        """Hash of the light, camera, exposure, correction and random streams, without pixel and display."""
+        settings = [getattr(self.lit.imaging, name).model_dump() for name in OF_FRAME]
+        # With pixsim's sources and the versions of the packages that compute, so that no row of another formula is reused.
+        return content_hash([self.lit.scenes.content, settings, *self.lit.case.stream, cache.version_fingerprint(*COMPUTED_BY)])
+
+    @cached_property
+    def shown(self) -> list[str]:
+        """Hash of each display, of the part of the die that is scored on it, of the development, and of the precision."""
+        imaging = self.lit.imaging
+        border_um = imaging.border_um if imaging.display.raster == "fixed_size" else 0.0
+        own = imaging.develop.content_hash, border_um, imaging.single, imaging.metrics.content
+        return [content_hash([display.content_hash, *own]) for display in self.lit.displays]
+
+    @cached_property
+    def light(self) -> str:
+        """Hash of the light behind the lens, and of the pixel but its size."""
+        return content_hash([self.imaging, self.shown, *self._of_pixel(self.lit.imaging.pixel, "pitch_um")])
+
+    def _of_pixel(self, pixel: Pixel, *but: str) -> tuple[object, ...]:
+        return self.lit.imaging.physics.technology.content, pixel.model_dump(exclude={"technology", *but})  # a path is no content
+
+    def pixel(self, pitch_um: float) -> str:
+        """Return the hash of everything that the frames of a pitch depend on."""
+        if pitch_um not in self._pixels:
+            at_pitch = self.lit.imaging.at(pitch_um)
+            # The raster decides on registrations.
+            self._pixels[pitch_um] = content_hash([self.imaging, *self._of_pixel(at_pitch.pixel), at_pitch.display.raster])
+        return self._pixels[pitch_um]
+
+    def keys(self, pitch_um: float, count: int) -> Sequence[str]:
+        """Return the key of each evaluation of a pitch: of `count` repeats, of the first ones on each display."""
+        return self._known(pitch_um, count)[: point_count(count, len(self.shown))]
+
+    def _known(self, pitch_um: float, count: int) -> list[str]:
+        """Return the keys of a pitch of `count` repeats or more, not to be written to."""
+        known, displays = self._keys.setdefault(pitch_um, []), len(self.shown)
+        for number in range(len(known), point_count(count, displays)):
+            repeat, display = point_at(number, displays)
+            known.append(content_hash([self.pixel(pitch_um), self.shown[display], repeat]))
+        return known
+
+    def is_expected_row(self, row: Row, pitches_um: Collection[float]) -> bool:
+        """Return whether a row of results.csv may belong to the case and has the key of its pitch and repeat.
+
+        pitches_um : with which the case starts
+        """
+        pitch_um, repeat = float(row["pitch_um"]), float(row["repeat"])
+        if row["technology"] != self.lit.case.sensor or not (0 <= repeat < MOST_REPEATS and repeat.is_integer()):
+            return False
+        if not min(pitches_um) <= pitch_um <= max(pitches_um):
+            return False
+        first, end = (point_count(count, len(self.shown)) for count in (int(repeat), int(repeat) + 1))
+        return row["key"] in self._known(pitch_um, int(repeat) + 1)[first:end]
+
+    def frames_of_pitch(self, pitch_um: float) -> str:
+        """Return the cache key of the frames of a pitch; empty if the frames of the case are not cached."""
+        return self.pixel(pitch_um) if self.lit.case.caches_frames else ""
+
+
+def frames_fit_in_cache(study: Study, camera: Camera) -> bool:
+    """Return whether all frames of a study fit in the cache without displacing most of it."""
+    bits = max(study.options_of(technology).bits for technology in study.technologies)
+    code_bytes = np.min_scalar_type(study.exposure.frames * (2**bits - 1)).itemsize + (4 if study.correction.is_on else 0)
+    sensors_per_pitch = study.repeats if study.target_ci_um is None else max(study.repeats, study.max_repeats)
+    pitches = [pitch_um for sensors in first_sampling(study).values() for pitch_um in sensors]
+    pixels = sum(math.prod(pixels_on(camera.die_um, pitch_um)) for pitch_um in pitches)
+    return cache.has_room(pixels * code_bytes * sensors_per_pitch)
+
+
+def point_count(repeats: int, displays: int) -> int:
+    """Return the number of evaluations of a pixel size: only the first repeats are shown on all displays."""
+    return repeats + min(repeats, CHECKED_REPEATS) * (displays - 1)
+
+
+def point_at(number: int, displays: int) -> tuple[int, int]:
+    """Return the repeat and the display of the evaluation of a number, as `point_count` counts them."""
+    checked = CHECKED_REPEATS * displays
+    return divmod(number, displays) if number < checked else (CHECKED_REPEATS + number - checked, 0)
+
+
+def block_key(frames_key: str, block: int) -> str:
+    """Return the cache key of the frames of one task, which share a file."""
+    return frames_key and f"{frames_key}-{block}"

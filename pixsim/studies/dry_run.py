@@ -14,13 +14,12 @@ from pixsim.scene.film import PROGRAM_BYTES, film_bytes, film_memory_bytes
 from pixsim.scene.plan import Plan
 from pixsim.sensor.integration import pixels_on
 from pixsim.show.sentences import duration
+from pixsim.studies.design import FrameCost, frame_cost, light_hash, metrics_of, study_pitches_um
 from pixsim.studies.engine import BASE_BYTES, jobs_in_memory, workers_here
 from pixsim.studies.film_error import film_error, samples_per_dot
-from pixsim.studies.keys import light_hash
 from pixsim.studies.lights import LightRequest
 from pixsim.studies.paired import NOISE_SENSORS
 from pixsim.studies.settings import Study
-from pixsim.studies.sizes import FrameCost, frame_cost, metrics_of, study_pitches_um
 from pixsim.studies.uncertainty import MOST_EVALUATIONS
 from pixsim.viewer.scene_light import SCENE_CACHE_BYTES
 

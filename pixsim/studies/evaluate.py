@@ -24,13 +24,20 @@ from pixsim.sensor.colour import Layout
 from pixsim.sensor.integration import electrons_per_joule, pixels_on
 from pixsim.sensor.labels import label_in
 from pixsim.sensor.readout import Frame, Sensor, lasting, make_frame
-from pixsim.studies.design import Case
+from pixsim.studies.design import (
+    CHECKED_REPEATS,
+    REPEATS_PER_TASK,
+    Case,
+    Fingerprints,
+    Sizes,
+    block_key,
+    frame_cost,
+    point_at,
+    point_count,
+)
 from pixsim.studies.engine import Workers, jobs_in_memory, results_of, workers_here
-from pixsim.studies.keys import CHECKED_REPEATS, REPEATS_PER_TASK, Fingerprints, block_key, point_at, point_count
 from pixsim.studies.lights import Light
-from pixsim.studies.sizes import Sizes, frame_cost
-from pixsim.studies.store import Row, Store
-from pixsim.studies.table import DEGREE, DOTS, Label, Table
+from pixsim.studies.table import DEGREE, DOTS, Label, Row, Store, Table
 from pixsim.viewer.chain import ImagingChain, chain_of_frames, make_chain
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.display_options import Display

@@ -17,9 +17,7 @@ from pixsim.light.curves import AS_CURVES, as_quantum_efficiency, as_share
 from pixsim.optics.camera import Camera
 from pixsim.optics.chief_rays import as_chief_ray_angles, as_relative_illumination
 from pixsim.sensor.spread import Spread, Uncertainty, sheet_uncertainty, without_uncertainty
-from pixsim.studies.axes import is_case_name, paths_of, setting_path
-from pixsim.studies.layers import has_study_settings, study_layers
-from pixsim.studies.settings import Study, owner_of
+from pixsim.studies.settings import Study, has_study_settings, is_case_name, owner_of, paths_of, setting_path, study_layers
 from pixsim.viewer.develop_options import as_tone_curve, of_python
 from pixsim.viewer.merging import merge, merged
 from pixsim.viewer.metric_registry import names_of

@@ -31,12 +31,10 @@ from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import integration_time_s
-from pixsim.studies.design import Case
+from pixsim.studies.design import OF_LIGHT, Case, imaging_of, largest_pixel_um, light_hash, physics_of, pixel_of, study_pitches_um
 from pixsim.studies.engine import Workers, results_of, workers_here
 from pixsim.studies.film_error import FilmError, display_of, measure_film, measured_places
-from pixsim.studies.keys import OF_LIGHT, light_hash
 from pixsim.studies.settings import Study
-from pixsim.studies.sizes import imaging_of, largest_pixel_um, physics_of, pixel_of, study_pitches_um
 from pixsim.viewer.chain import make_chain
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.imaging import Imaging

@@ -23,8 +23,7 @@ from pixsim.sensor.reading import Readout
 from pixsim.show.figures import LOOKS, new_figure, own_style
 from pixsim.show.pages import Column, Plate
 from pixsim.show.sentences import span
-from pixsim.studies.axes import paths_of
-from pixsim.studies.settings import Study
+from pixsim.studies.settings import Study, paths_of
 from pixsim.viewer.chain import ExpectedFrame, make_chain
 from pixsim.viewer.display import picture_size_um, white_light
 from pixsim.viewer.display_options import Display
@@ -35,7 +34,8 @@ from pixsim.viewer.raw_metrics import INFORMATION, neq_along
 from pixsim.viewer.screen import HEADER_OF_WHITE, UNITS_OF_WHITE, WHITE_FROM
 
 if TYPE_CHECKING:
-    from pixsim.studies.result import Curve, StudyResult
+    from pixsim.studies.curve import Curve
+    from pixsim.studies.result import StudyResult
     from pixsim.studies.run import RunResult
 
 Border = tuple[float, float]  # µm omitted above and below, and left and right, of the rendered picture

@@ -3,6 +3,9 @@
 A sensor given by its data sheet has no display or chart that belongs to it, as the process of Chen et al. (2000) has. Where
 nobody sets them, its display has a dot for each column of pixels, up to 2048, and the CSF chart ends at the highest frequency
 that the sensor, the lens and the display can show. Both are chosen once a command, so that all its scores are comparable.
+
+Settings that do nothing are found here, and sensor types are drawn: values for the numbers of a study's sensors, or of those of a
+comparison, that are not known. What is made of the draws is in `pixsim.studies.uncertainty`.
 """
 
 from __future__ import annotations
@@ -14,11 +17,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+from pixsim.base.arguments import checks_arguments
 from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import warn
-from pixsim.base.records import content_hash
+from pixsim.base.records import Record, content_hash
 from pixsim.base.schema import KEY
+from pixsim.base.toml import whole_path
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.optics.diffraction import cutoff_cy_per_mm
@@ -28,28 +33,48 @@ from pixsim.scene.film import GREEN_NM
 from pixsim.scene.scene import Scene, load_scene
 from pixsim.scene.study_scene import StudyScene
 from pixsim.sensor.integration import MAX_PIXELS, check_pixel_count, pixels_along, pixels_on
-from pixsim.sensor.labels import label_of, labels_of
-from pixsim.sensor.pixel_options import PixelOptions
+from pixsim.sensor.labels import file_label, label_of, labels_of
+from pixsim.sensor.pixel_options import NO_TECHNOLOGY, Pixel, PixelOptions
 from pixsim.sensor.reading import Readout
-from pixsim.sensor.technology import check_name
-from pixsim.studies.axes import paths_of
-from pixsim.studies.design import BASE, Case, Settings, cases_of, named, warn_of_reviews, with_range_ends
-from pixsim.studies.keys import frames_fit_in_cache, point_count
-from pixsim.studies.lights import LightRequest, light_request
-from pixsim.studies.settings import PitchRange, Study
-from pixsim.studies.sizes import (
+from pixsim.sensor.spread import Spread, Uncertainty, sheet_uncertainty
+from pixsim.sensor.technology import check_name, load_technology
+from pixsim.studies.design import (
+    BASE,
     BYTES_PER_PIXEL,
+    Case,
+    Settings,
     border_on_um,
+    cases_of,
+    check_number,
     first_sampling,
+    frames_fit_in_cache,
     further_displays,
     imaging_of,
     largest_lens_um,
     metrics_of,
+    named,
     physics_of,
+    point_count,
     study_pitches_um,
     technology_of,
+    warn_of_reviews,
+    with_range_ends,
 )
-from pixsim.studies.without_effect import cases_to_try, settings_of_technology
+from pixsim.studies.files import spreads_of_study
+from pixsim.studies.lights import LightRequest, light_request
+from pixsim.studies.settings import PitchRange, Study, paths_of
+from pixsim.studies.uncertainty import (
+    LEAST_DRAWS,
+    MOST_DRAWS,
+    MOST_EVALUATIONS,
+    Sample,
+    Unknown,
+    drawn_metrics,
+    sample_types,
+    sobol_points,
+    unknowns_of_process,
+    unknowns_of_sheet,
+)
 from pixsim.viewer.display import dot_edges_um
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
@@ -58,7 +83,233 @@ from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, Metric, MetricContext, Metr
 from pixsim.viewer.scene_light import check_background
 from pixsim.viewer.screen import allows_single
 from pixsim.viewer.setting import Run, Setting
-from pixsim.viewer.without_effect import warn_of_settings_without_effect
+from pixsim.viewer.without_effect import TABLES, CommandFacts, Default, GivenSettings, record_with, warn_of_settings_without_effect
+
+# --- settings that do nothing -----------------------------------------------------------------------------------------------------
+
+
+def cases_to_try(cases: Sequence[Case[Study]]) -> list[int]:
+    """Return the numbers of cases in which settings are tried: those that differ from the first in one axis, and the last.
+
+    A product of axes may have thousands; each of its values is in one of these.
+    """
+    first = cases[0]
+    chosen = [
+        number
+        for number, case in enumerate(cases)
+        if sum(case.at[name] != value for name, value in first.at.items()) + (case.condition != first.condition) <= 1
+    ]
+    return list(dict.fromkeys([*chosen, len(cases) - 1]))
+
+
+@dataclass(frozen=True)
+class GivenSizes(GivenSettings):
+    """Settings of one technology of a study, at its largest pixel size.
+
+    study : as the user set it
+    smallest : the same settings at the smallest size
+    """
+
+    study: Study | None = None
+    technology: str = ""
+    smallest: GivenSettings | None = None
+
+    def without_effect(self) -> list[str]:
+        """Return the names of the settings that do nothing at both ends of the sizes, nor to their list."""
+        names = super().without_effect()
+        if self.smallest is not None:
+            of_frames = tuple(name for name in names if not name.startswith("pitch."))
+            acting = {*of_frames} - {*replace(self.smallest, names=of_frames).without_effect()}
+            names = [name for name in names if name not in acting]
+        return [name for name in names if not self._moves_sizes(name)]
+
+    def _acts(self, name: str) -> bool:
+        return not name.startswith("pitch.") and super()._acts(name)
+
+    def _moves_sizes(self, name: str) -> bool:
+        assert self.study is not None
+        try:
+            sizes_um = study_pitches_um(self.study, self.technology)
+            other = record_with(self.study, name.split("."), Default)
+            return study_pitches_um(other, self.technology).tolist() != sizes_um.tolist()
+        except PixsimError:  # without it the settings are refused
+            return True
+
+
+# A study of a data sheet takes it from the sheet's pitch; the range and the display that follow from it are stated in `complete`.
+OF_THE_SHEET = "pitch.own_um"
+
+
+def settings_of_technology(given: Case[Study], complete: Case[Study], technology: str) -> GivenSizes:
+    """Return the settings of one technology in one case.
+
+    given : as the user set it
+    complete : the same, with what the user left open
+    """
+    study = given.settings
+    tables: dict[str, Record] = {table: getattr(study, table) for table in TABLES}
+    tables |= {"pixel": study.options_of(technology), "pitch": study.pitch}
+    facts = CommandFacts(
+        settings=study,
+        picture=complete.picture,
+        judges_run=False,
+        adds_sensors=bool(study.target_ci_um) or (study.refine and study.pitch.values_um is None),
+        may_refine=not study.target_ci_um and study.pitch.values_um is None,
+    )
+    ends = []
+    for pitch_um in study_pitches_um(complete.settings, technology)[[-1, 0]].tolist():
+        imaging = imaging_of(complete.settings, complete.camera, technology, pitch_um)
+        ends.append(GivenSettings.of(imaging.changed(metrics=metrics_of(study)), tables, facts))
+    largest, smallest = ends
+    names = tuple(name for name in largest.names if technology != NO_TECHNOLOGY or name != OF_THE_SHEET)
+    return GivenSizes(largest.imaging, names, facts, study, technology, smallest)
+
+
+# --- sensor types -----------------------------------------------------------------------------------------------------------------
+
+MOST_VALUES = 5  # of the axis of a study whose sensor types are drawn
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is asked about the unknown numbers.
+
+    draws : sensor types; rounded up to a power of two
+    total : whether the draws are those of total indices, draws × (inputs + 2)
+    smaller_than_um : pixel sizes; the probability that the optimum is smaller is reported
+    uncertainty : of the study's own [pixel] and data sheets, as its files state it
+    """
+
+    draws: int
+    total: bool = False
+    smaller_than_um: tuple[float, ...] = ()
+    uncertainty: Uncertainty = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not LEAST_DRAWS <= self.draws <= MOST_DRAWS:
+            raise invalid(
+                setting("sobol" if self.total else "uncertainty"), self.draws, f"{LEAST_DRAWS} to {MOST_DRAWS} sensor types"
+            )
+
+    def sample(self, study: Study) -> Sample:
+        """Return the sensor types. Raises PixsimError if nothing is unknown."""
+        make = sobol_points if self.total else sample_types
+        return make(unknowns_of_study(study, self.uncertainty), self.draws, study.seed)
+
+
+def asked_of(uncertainty: int | None, sobol: int | None, smaller_than_um: Sequence[float], spreads: Uncertainty) -> Asked | None:
+    """Return what is asked about the unknown numbers; None if nothing is.
+
+    uncertainty, sobol : sensor types to draw, or those of total indices
+    smaller_than_um : as in `Asked`
+    spreads : `Asked.uncertainty`
+
+    Raises PixsimError for both numbers of types, and for sizes without any.
+    """
+    if uncertainty is not None and sobol is not None:
+        raise invalid(setting("uncertainty"), f"with {setting('sobol')}", "one of the two")
+    draws = uncertainty if sobol is None else sobol
+    if draws is not None:
+        return Asked(draws, sobol is not None, tuple(smaller_than_um), spreads)
+    if smaller_than_um:
+        got = f"without {setting('uncertainty')}"
+        raise invalid(setting("smaller_than_um"), got, f"{setting('uncertainty', 'N')} beside it")
+    return None
+
+
+@checks_arguments
+def unknowns_of_study(study: Study, uncertainty: Mapping[str, Mapping[str, Spread]] | None = None) -> list[Unknown]:
+    """Return all numbers of a study's sensors that are not known: of [pixel], its data sheets, and its technologies.
+
+    uncertainty : of the study's own [pixel] by the name '', and of data sheets; that of others stands in their files
+
+    Numbers that the study or a data sheet gives in place of a technology's are known, unless their own uncertainty is given.
+
+    Raises PixsimError for a file that is damaged, and as `unknowns_of_sheet`.
+    """
+    spreads = spreads_of_study(study, uncertainty or {})
+    unknowns = unknowns_of_sheet(study.pixel, spreads[""])
+    for name in study.technologies:
+        if name in study.sensors:
+            unknowns += unknowns_of_sheet(study.sensors[name], spreads[name], name)
+        unknowns += unknowns_of_process(study.options_of(name), technology_of(study, name), name, study.process.get(name, {}))
+    return unknowns
+
+
+def check_axes(study: Study) -> None:
+    """Raise PixsimError for axes with which sensor types cannot be drawn."""
+    if any(axis.alone for axis in study.axis) or len(study.axis) > 1 or any(len(axis.points) > MOST_VALUES for axis in study.axis):
+        got = ", ".join(f"{axis.name} with {len(axis.points)} values" for axis in study.axis)
+        raise invalid(setting("uncertainty"), f"a study with the axes {got}", f"at most one axis of at most {MOST_VALUES} values")
+
+
+def check_types(study: Study, cases: Sequence[Study], asked: Asked, agreed: bool) -> tuple[int, int]:
+    """Return the number of sensor types of a study and of their evaluations at most, for all metrics.
+
+    cases : of the study
+    agreed : whether they may be very many
+
+    Raises PixsimError for axes with which types cannot be drawn, if nothing is unknown, and for too many evaluations.
+    """
+    check_axes(study)
+    types = len(asked.sample(cases[0]).quantiles)
+    evaluations = types * MOST_EVALUATIONS * sum(len(case.technologies) * len(drawn_metrics(case)) for case in cases)
+    check_number(types, evaluations, agreed)
+    return types, evaluations
+
+
+@dataclass(frozen=True)
+class Types:
+    """The sensor types of a comparison.
+
+    asked : as given; the sample has a power of two of them
+    spreads : [pixel.uncertainty] of each sensor's file
+    sample : drawn for all sensors, whose names are the technologies of its unknowns
+    total : whether they are the points of total indices
+    """
+
+    asked: int
+    spreads: tuple[Mapping[str, Spread], ...]
+    sample: Sample
+    total: bool = False
+
+    @classmethod
+    def of(cls, asked: Asked, sensors: Sequence[Case[Run]]) -> Types:
+        """Draw sensor types. Raises PixsimError if nothing is unknown."""
+        spreads = tuple(sheet_uncertainty(Path(each.file)) if Path(each.file).is_file() else {} for each in sensors)
+        files = list(dict.fromkeys(whole_path(each.settings.pixel.technology) for each in sensors))
+        processes = dict(zip(files, labels_of([file_label(file) for file in files]), strict=True))
+        unknowns: list[Unknown] = []
+        for each, own in zip(sensors, spreads, strict=True):
+            name, pixel = each.sensor, each.settings.pixel
+            unknowns += unknowns_of_sheet(pixel, own, name)
+            if pixel.technology != NO_TECHNOLOGY:
+                process = processes[whole_path(pixel.technology)]
+                of_process = unknowns_of_process(pixel, load_technology(pixel.technology), name)
+                unknowns += [replace(unknown, process=process) for unknown in of_process]
+        make = sobol_points if asked.total else sample_types
+        return cls(asked.draws, spreads, make(unknowns, asked.draws, sensors[0].settings.seed), asked.total)
+
+    def imagings(self, name: str, imaging: Imaging) -> Iterator[Imaging]:
+        """Yield what lies between light and score of each type of a sensor.
+
+        name, imaging : of the sensor as it is; numbers that a condition sets are known in it
+        """
+        pixel = imaging.pixel
+        unknowns = [each for members in self.sample.inputs.values() for each in members if each.technology == name]
+        of_sheet = [each for each in unknowns if each.of_sheet and getattr(pixel, each.quantity) == each.value]
+        of_process = [each for each in unknowns if not each.of_sheet and getattr(pixel, each.quantity, None) is None]
+        technology = load_technology(pixel.technology)
+        for draw in self.sample.draws:
+            numbers = {each.quantity: draw[each.name] for each in of_sheet}
+            process = {each.quantity: draw[each.name] for each in of_process}
+            drawn = Pixel(**pixel.model_dump() | numbers) if numbers else pixel
+            yield replace(
+                imaging, pixel=drawn, technology=technology.with_numbers(process, name) if process else imaging.technology
+            )
+
+
+# --- the job ----------------------------------------------------------------------------------------------------------------------
 
 ALLOWED_DOTS = (8, 2048)  # of a display that is chosen; a user may set up to 4096
 MIN_OCTAVES = 1.0  # of a chart that is chosen, for dies of a few pixels

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from pixsim.base.arrays import Array
+from pixsim.studies.design import photodiode_widths_um
 from pixsim.studies.optimum import ROUNDING, FittedCurve, Optimum, fit_of_metric
 from pixsim.studies.settings import Study
-from pixsim.studies.sizes import photodiode_widths_um
 from pixsim.viewer.metrics import Metric
 
 if TYPE_CHECKING:
-    from pixsim.studies.result import Curve
+    from pixsim.studies.curve import Curve
 
 
 @dataclass(frozen=True)

@@ -6,24 +6,22 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pixsim.base.arguments import Count, Positive, checks_arguments, checks_fields
-from pixsim.base.arrays import Array, PositiveArray
-from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.arguments import Count, checks_arguments, checks_fields
+from pixsim.base.arrays import Array
+from pixsim.base.errors import invalid
 from pixsim.base.notes import told_apart
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.sensor.collection import least_fresnel_number
 from pixsim.sensor.integration import collecting_area_um2
-from pixsim.sensor.labels import file_label, label_of, labels_of
+from pixsim.sensor.labels import labels_of
 from pixsim.sensor.pixel import PixelPhysics, has_microlens, smallest_pitch_um
-from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.sensor.quantities import Pitch
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.technology import Technology, with_fill_factor_law
@@ -31,37 +29,24 @@ from pixsim.show.figures import LOOKS, Look, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate
 from pixsim.show.render import cell_of
 from pixsim.show.sentences import few, sentence, settings_line, span
-from pixsim.studies.design import BASE, Case, case_words
+from pixsim.studies.curve import Curve, shown_mean_and_ci95
+from pixsim.studies.design import BASE, REPEATS_PER_TASK, Case, imaging_of, largest_lens_um, physics_of, technology_of
 from pixsim.studies.evaluate import Counts, LitCase, frames_of, lit_cases, task_of
 from pixsim.studies.film_error import FilmError, light_error_and_limit
-from pixsim.studies.keys import REPEATS_PER_TASK
 from pixsim.studies.lights import Light
 from pixsim.studies.merit import LightLevel
-from pixsim.studies.optimum import (
-    FEWEST_SIZES,
-    NO_VISIBLE_DELTA_E,
-    FittedCurve,
-    Optimum,
-    fit_of_metric,
-    mean_and_ci95,
-    mean_of_sensors,
-    over_sensors,
-    told_pitches,
-)
+from pixsim.studies.optimum import told_pitches
 from pixsim.studies.prepare import cases_of_sensors
-from pixsim.studies.regret import metric_regrets
 from pixsim.studies.sentences import interval_words, optima_table, optimum_words
 from pixsim.studies.settings import Study
-from pixsim.studies.sizes import DisplayOptimum, imaging_of, largest_lens_um, photodiode_widths_um, physics_of, technology_of
 from pixsim.studies.table import Table
 from pixsim.viewer.causes import causes_of
 from pixsim.viewer.dark_clip import clip_words, clips_dark, dark_clip
-from pixsim.viewer.develop_options import developed_words
 from pixsim.viewer.display import white_light, white_rate
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.metrics import DELTA_E, Metric, columns_of_metrics, columns_with_numbers
+from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.scene_light import SceneCache
-from pixsim.viewer.score import NOT_MEASURED, Cause, FrameScore, LightError
+from pixsim.viewer.score import Cause, FrameScore
 from pixsim.viewer.screen import display_image
 
 if TYPE_CHECKING:
@@ -70,280 +55,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-class TooFewSizesError(PixsimError):
-    """Fewer pixel sizes of a case are possible than a curve needs."""
-
-
 FEW_ROWS = 64  # that tell which part of the pixels is full
-WIDE_RATIO = 1.5  # of the largest to the smallest size of a range that is worth naming
-SAME_SIZE = 1e-3  # relative: an optimum at the end of a range is there to the rounding of its fit
-
-
-@checks_fields
-@dataclass(frozen=True)
-class Curve:
-    """Mean ΔE against pitch for one technology.
-
-    technology : name, or path of its file
-    feature_size_um : of the process
-    pitch_um : (pitches,) increasing
-    fill_factor : (pitches,) photodiode area over pixel area
-    statistics : `mean_delta_e` and the others, (pitches, sensors) each; NaN where a pitch has fewer sensors than others
-    fit : the fitted curve with its minimum
-    label : the technology's name for readers, unique in a study
-    fresnel_number : (pitches,) of microlenses, below 1 where the model of their diffraction is doubtful; None without microlenses
-    data_sheet : whether the sensor is described by its data sheet only, without a process
-    light, light_limit : errors of the light, the film's at the best of the pitches, and what is tolerated of them
-    at, condition, alone : of its case (`pixsim.studies.design.Case`), in a study with axes or conditions
-    left_out : pitches in µm that are not among them, each with the reason
-    on_displays : optima with half and with twice the display's dots, of a data sheet's sensor
-    from_smallest : whether the sizes begin with the smallest of the process, by its least fill factor
-    causes : of the mean ΔE of the best of the pitches, beside noise and blur, the largest first
-    metrics : that judge it; the first one is that of `fit`
-    fits : fitted curve of each further metric that tells a best size, by its name
-    variant_fits : fitted curve of each variant of a metric that tells a best size, by its column
-    developed : what is on of the development, as of `developed_words`
-    lacking : metrics that have no number at a pitch in µm, each with the reason
-    """
-
-    technology: str
-    feature_size_um: Positive
-    pitch_um: PositiveArray = field(repr=False)
-    fill_factor: Array = field(repr=False)
-    statistics: dict[str, Array] = field(repr=False)
-    fit: FittedCurve = field(repr=False)
-    label: str = ""
-    data_sheet: bool = False
-    light: LightError = field(default=NOT_MEASURED, repr=False)
-    light_limit: LightError = field(default=NOT_MEASURED, repr=False)
-    fresnel_number: Array | None = field(default=None, repr=False)
-    at: dict[str, float | int | str] = field(default_factory=dict)
-    condition: str = ""
-    alone: str = ""
-    left_out: tuple[tuple[float, str], ...] = field(default=(), repr=False)
-    on_displays: tuple[DisplayOptimum, ...] = field(default=(), repr=False)
-    from_smallest: bool = False
-    causes: tuple[Cause, ...] = field(default=(), repr=False)
-    metrics: tuple[Metric, ...] = field(default=(DELTA_E,), repr=False)
-    fits: dict[str, FittedCurve] = field(default_factory=dict, repr=False)
-    variant_fits: dict[str, FittedCurve] = field(default_factory=dict, repr=False)
-    developed: str = ""
-    lacking: tuple[tuple[str, float, str], ...] = field(default=(), repr=False)
-
-    def __post_init__(self) -> None:
-        if not self.label:
-            object.__setattr__(self, "label", label_of(self.technology))
-
-    @property
-    def file_label(self) -> str:
-        """The technology's name for file names."""
-        return file_label(self.plain_label)
-
-    @property
-    def plain_label(self) -> str:
-        """The label without the words of its case."""
-        return self.label.removesuffix(f", {self.words}") if self.words else self.label
-
-    @property
-    def words(self) -> str:
-        """Values and condition of its case as text; empty in a study without axes and conditions."""
-        return case_words(self.at, self.condition, self.alone)
-
-    @property
-    def optimum_features(self) -> float | None:
-        """The optimum in units of the feature size; None for a sensor given by its data sheet, which has no process."""
-        return None if self.data_sheet else self.optimum.pitch_um / self.feature_size_um
-
-    @property
-    def metric(self) -> Metric:
-        """The first metric, which the curve is drawn of."""
-        return self.metrics[0]
-
-    @checks_arguments
-    def judged_by(self, metric: str) -> Curve:
-        """Return the curve with one of its metrics that tell a best size as the first one.
-
-        metric : its name
-
-        Raises PixsimError for another name.
-        """
-        if metric == self.metric.name:
-            return self
-        if metric not in self.fits:
-            raise invalid("metric", f"'{metric}'", f"one that tells a best size: {', '.join([self.metric.name, *self.fits])}")
-        first = next(each for each in self.metrics if each.name == metric)
-        metrics = first, *(each for each in self.metrics if each is not first)
-        fits = {self.metric.name: self.fit} | {name: fit for name, fit in self.fits.items() if name != metric}
-        return replace(self, metrics=metrics, fit=self.fits[metric], fits=fits, on_displays=(), causes=())
-
-    @property
-    def optimum(self) -> Optimum:
-        """The pitch of minimum mean ΔE, or of the best value of the first metric, with its interval."""
-        return self.fit.optimum
-
-    @property
-    def optima(self) -> dict[str, Optimum]:
-        """The optimum by each metric that tells a best size, by the metric's name."""
-        return {self.metrics[0].name: self.optimum} | {name: fit.optimum for name, fit in self.fits.items()}
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """The columns of the metrics, without variants that have no number at any pitch."""
-        return columns_with_numbers(self.metrics, self.statistics)
-
-    @property
-    def judged_by_delta_e(self) -> bool:
-        """Whether ΔE is the first metric, which the curve is drawn of."""
-        return self.metric.is_delta_e
-
-    @property
-    def has_delta_e(self) -> bool:
-        """Whether ΔE is among the metrics."""
-        return any(metric.is_delta_e for metric in self.metrics)
-
-    @property
-    def delta_e(self) -> Array:
-        """Mean ΔE of each sensor, (pitches, sensors); NaN where a pitch has fewer sensors than others.
-
-        Of a study that judges by another metric first, that metric's `loss`; NaN at pitches that are not `told`.
-        """
-        loss = self.metric.loss(self.statistics[self.metric.columns[0]])
-        return np.where(self.told[:, None], loss, np.nan)
-
-    @property
-    def told(self) -> NDArray[np.bool_]:
-        """Whether the first metric's fitted curve takes a pitch, (pitches,): not without a number, or where it is worth nothing."""
-        return told_pitches(self.metric, self.statistics[self.metric.columns[0]])
-
-    @property
-    def fitted_range_um(self) -> tuple[float, float]:
-        """Smallest and largest pitch of the fitted curve."""
-        return float(self.fit.pitch_um[0]), float(self.fit.pitch_um[-1])
-
-    @property
-    def along(self) -> tuple[Array, Array]:
-        """Pitches in µm and the first metric there, (n,) each: the fitted curve, and pitches where some sensors have 0 or less."""
-        values = self.statistics[self.metric.columns[0]]
-        dead = np.isfinite(values).any(axis=1) & ~self.told
-        pitch_um = np.append(self.fit.pitch_um, self.pitch_um[dead])
-        order = np.argsort(pitch_um, kind="stable")
-        return pitch_um[order], np.append(self.metric.of_loss(self.fit.delta_e), mean_of_sensors(values[dead]))[order]
-
-    @property
-    def means(self) -> dict[str, Array]:
-        """Mean of each statistic of ΔE over the sensors of each pitch, (pitches,); none if ΔE was not asked for."""
-        return {name: self.mean(name) for name in DELTA_E.columns if name in self.statistics}
-
-    @checks_arguments
-    def mean(self, statistic: str | None = None) -> Array:
-        """Return the mean of a statistic over the sensors of each pitch, (pitches,), in its unit.
-
-        statistic : its column in results.csv; None means `delta_e`
-        """
-        return mean_of_sensors(self.delta_e if statistic is None else self.statistics[statistic])
-
-    @checks_arguments
-    def typical(self, statistic: str) -> Array:
-        """Return the mean of a statistic over the sensors of each pitch, (pitches,), in its unit; the least one of a worst case.
-
-        statistic : its column in results.csv
-        """
-        worst = any(statistic in metric.worst for metric in self.metrics)
-        return over_sensors(np.nanmin, self.statistics[statistic]) if worst else self.mean(statistic)
-
-    @cached_property
-    def no_difference_um(self) -> tuple[float, float] | None:
-        """Range of tested pitches around the best whose mean ΔE differ by less than 0.05, uncertainty included; None if narrow.
-
-        The difference of two pitches counts with the 95 % interval of a difference, √(ci² + ci²). The range is the widest of
-        neighbouring pitches with the best of them; one of a ratio below `WIDE_RATIO` is narrow, as around any smooth minimum.
-        """
-        if not self.judged_by_delta_e:
-            return None  # the threshold is one of ΔE
-        mean, ci95 = mean_and_ci95(self.delta_e)
-        apart = np.abs(mean[:, None] - mean) + np.hypot(ci95[:, None], ci95)
-        best, widest = int(np.argmin(mean)), None
-        for first in range(best + 1):
-            for last in range(best, mean.size):
-                differ = apart[first : last + 1, first : last + 1].copy()
-                np.fill_diagonal(differ, 0.0)
-                ratio = float(self.pitch_um[last] / self.pitch_um[first])
-                if differ.max() < NO_VISIBLE_DELTA_E and ratio >= WIDE_RATIO and (widest is None or ratio > widest[1] / widest[0]):
-                    widest = float(self.pitch_um[first]), float(self.pitch_um[last])
-        return widest
-
-    @property
-    def fit_swings(self) -> bool:
-        """Whether the fitted curve is least outside the sizes that look alike, where the best size tried is not.
-
-        Beside a steep flank, a smooth curve may swing below all sizes tried. Its minimum is then doubtful.
-        """
-        if self.no_difference_um is None:
-            return False
-        low, high = self.no_difference_um
-        return not low * (1 - SAME_SIZE) <= self.optimum.pitch_um <= high * (1 + SAME_SIZE)
-
-    @property
-    def doubtful(self) -> Array:
-        """Whether the model of the microlenses is doubtful, (pitches,): a Fresnel number below 1."""
-        none = np.full(self.pitch_um.shape, np.inf)
-        return np.asarray((none if self.fresnel_number is None else self.fresnel_number) < 1)
-
-    @property
-    def doubtful_below_um(self) -> float | None:
-        """Pitch below which the model of the microlenses is doubtful: a Fresnel number of 1; None without microlenses."""
-        if self.fresnel_number is None:
-            return None
-        return float(self.pitch_um[0] / np.sqrt(self.fresnel_number[0]))
-
-    @checks_arguments
-    def fresnel_at(self, pitch_um: Pitch) -> float | None:
-        """Return the Fresnel number of the microlens at any pitch, to whose square it is proportional; None without microlenses."""
-        return None if self.doubtful_below_um is None else (pitch_um / self.doubtful_below_um) ** 2
-
-    @property
-    def sensors(self) -> Array:
-        """Number of sensors of each pitch, (pitches,)."""
-        return np.max([np.isfinite(values).sum(axis=1) for values in self.statistics.values()], axis=0)
-
-    @property
-    def optimum_fill_factor(self) -> float:
-        """Fill factor at the optimum, interpolated linearly between pitches."""
-        return float(np.interp(self.optimum.pitch_um, self.pitch_um, self.fill_factor))
-
-    def _further_metrics(self) -> dict[str, Any]:
-        """Return what summary.json has of metrics beside ΔE alone."""
-        if [metric.name for metric in self.metrics] == [DELTA_E.name]:
-            return {}
-        optima = {name: optimum.of_metric() for name, optimum in self.optima.items()}
-        optima |= {name: fit.optimum.of_metric() for name, fit in self.variant_fits.items()}
-        names = self.columns
-        regrets = metric_regrets(self)
-        told = {} if regrets is None else {"regrets": regrets.as_dict()}
-        means = {name: [value if math.isfinite(value) else None for value in self.typical(name).tolist()] for name in names}
-        return {"optima": optima, "metrics": means} | told
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the curve as in summary.json."""
-        mean, ci95 = shown_mean_and_ci95(self)
-        of_case = {name: value for name, value in (("at", self.at), ("condition", self.condition), ("alone", self.alone)) if value}
-        return {
-            "technology": self.technology,
-            **of_case,
-            "optimum": self.optimum.as_dict() if self.judged_by_delta_e else self.optimum.of_metric(),
-            "no_visible_difference_um": self.no_difference_um,
-            "optimum_fill_factor": self.optimum_fill_factor,
-            "optimum_features": self.optimum_features,
-            **({"causes": [cause.as_dict() for cause in self.causes]} if self.causes else {}),
-            "pitch_um": self.pitch_um.tolist(),
-            "sensors": self.sensors.tolist(),
-            "fill_factor": self.fill_factor.tolist(),
-            **({"mean_delta_e": mean.tolist(), "ci95_delta_e": ci95.tolist()} if self.judged_by_delta_e else {}),
-            **self._further_metrics(),
-            **({"left_out": {f"{pitch_um:g}": reason for pitch_um, reason in self.left_out}} if self.left_out else {}),
-            **({} if self.fresnel_number is None else {"fresnel_number": self.fresnel_number.tolist()}),
-            **({"displays": [each.as_dict() for each in self.on_displays]} if self.on_displays else {}),
-        }
 
 
 @checks_fields
@@ -676,71 +388,6 @@ def causes_of_frames(image: SpectralImage, imaging: Imaging, lightness: tuple[fl
     )
 
 
-def curve_of(
-    study: Study, technology: str, table: Table, metrics: tuple[Metric, ...] | None = None, label: str | None = None
-) -> Curve:
-    """Return the curve of one technology, with its optima, from its evaluations on one display.
-
-    metrics : of which there are optima, the first one that of the curve; None takes those of the table
-    label : of sensor and case, for messages
-
-    Raises TooFewSizesError if too few pixel sizes are possible, or if the first of the metrics tells no best size.
-    """
-    metrics = metrics or table.metrics
-    left_out = {float(table.columns["pitch_um"][row]): reason for row, reason in table.impossible.items()}
-    undefined = {
-        (name, float(table.columns["pitch_um"][row])): reason
-        for row, reasons in table.undefined.items()
-        for name, reason in reasons.items()
-    }
-    possible = table.possible
-    pitches, place = np.unique(possible.columns["pitch_um"], return_inverse=True)
-    if left_out and pitches.size < FEWEST_SIZES:
-        got = f"{pitches.size} of {pitches.size + len(left_out)} pixel sizes are possible, and a curve needs {FEWEST_SIZES}"
-        raise TooFewSizesError(f"{label or label_of(technology)}: {got}. {left_out[max(left_out)]}")
-
-    repeat = possible.columns["repeat"]
-    statistics = {}
-    for name in ("integration_s", *columns_of_metrics(metrics)):
-        values = np.full((pitches.size, 1 + repeat.max()), np.nan)
-        values[place, repeat] = possible.columns[name]
-        statistics[name] = values
-    fill_factor = np.zeros(pitches.size)
-    fill_factor[place] = possible.columns["fill_factor"]
-
-    width_um = partial(photodiode_widths_um, study, technology)
-    fits = {metric.name: fit_of_metric(metric, pitches, statistics[metric.columns[0]], width_um) for metric in metrics}
-    variant_fits = {
-        name: fit_of_metric(metric, pitches, statistics[name], width_um) for metric in metrics for name in metric.variants
-    }
-    fit = fits.pop(metrics[0].name)
-    if fit is None:
-        fittable = int(told_pitches(metrics[0], statistics[metrics[0].columns[0]]).sum())
-        got = (
-            f"'{metrics[0].name}' first, with values above 0 at {fittable} of {pitches.size} pixel sizes of {label_of(technology)}"
-        )
-        hint = "Name another metric first."
-        error = invalid("metrics", got, f"values above 0 at {FEWEST_SIZES} neighbouring sizes or more", hint)
-        raise TooFewSizesError(" ".join([str(error), *undefined.values()][:2]))
-    process = technology_of(study, technology)
-    return Curve(
-        technology,
-        process.feature_size_um,
-        pitches,
-        fill_factor,
-        statistics,
-        fit,
-        data_sheet=process.name == NO_TECHNOLOGY,
-        from_smallest=study.pitch.values_um is None and study.open_range_um[0] is None,
-        metrics=metrics,
-        fits={name: fitted for name, fitted in fits.items() if fitted is not None},
-        variant_fits={name: fitted for name, fitted in variant_fits.items() if fitted is not None},
-        developed=developed_words(study.develop, [study.options_of(technology)]),
-        left_out=tuple(left_out.items()),
-        lacking=tuple((*which, reason) for which, reason in undefined.items()),
-    )
-
-
 ON_WHITE: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}  # background of text over lines
 HEADROOM = 1.12  # of the axis over the highest point, for the legend
 LABEL_SPACE = 0.25  # of the axis height, for the labels below an optimum and at the bottom
@@ -769,14 +416,6 @@ def draw_curve(axes: Axes, curve: Curve, look: Look) -> None:
     for edge_um in best.within_1_percent_um:
         if edge_um is not None:
             axes.axvline(edge_um, lw=0.7, **look.stroke)
-
-
-def shown_mean_and_ci95(curve: Curve) -> tuple[Array, Array]:
-    """Return the mean of the first metric of each pitch, (P,), and half the width of its 95 % interval, NaN where not `told`."""
-    told, shown, ci95 = curve.told, curve.mean(curve.metric.columns[0]), np.full(curve.pitch_um.shape, np.nan)
-    mean, half = mean_and_ci95(curve.delta_e[told])
-    shown[told], ci95[told] = curve.metric.of_loss(mean), half if curve.metric.better == "less" else half / mean**2
-    return shown, ci95
 
 
 def closed_range(range_um: tuple[float | None, float | None], curve: Curve) -> tuple[float, float]:

@@ -28,16 +28,31 @@ from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import BORDER_PIXELS, NO_TECHNOLOGY
 from pixsim.sensor.spread import sheet_uncertainty
 from pixsim.sensor.technology import check_name, load_technology
-from pixsim.studies.axes import NOT_SETTINGS, paths_of
-from pixsim.studies.design import Case, cases_of, combinations, named, values_at, warn_of_reviews, with_range_ends
-from pixsim.studies.drawn_types import Types, asked_of
+from pixsim.studies.design import (
+    Case,
+    cases_of,
+    combinations,
+    further_displays,
+    metrics_of,
+    named,
+    values_at,
+    warn_of_reviews,
+    with_range_ends,
+)
 from pixsim.studies.files import QUICK_REPEATS, checked_study, config_layers, study_of
-from pixsim.studies.layers import STUDY_ALONE, check_asked, parts_of_study, unused_settings
 from pixsim.studies.lights import LightRequest, light_request
 from pixsim.studies.paired import FEWEST_PAIRS
-from pixsim.studies.prepare import Job, choose_view, is_picture, loaded_scene, sensor_case, with_delta_e, with_view
-from pixsim.studies.settings import Study, owner_of
-from pixsim.studies.sizes import further_displays, metrics_of
+from pixsim.studies.prepare import Job, Types, asked_of, choose_view, is_picture, loaded_scene, sensor_case, with_delta_e, with_view
+from pixsim.studies.settings import (
+    NOT_SETTINGS,
+    STUDY_ALONE,
+    Study,
+    check_asked,
+    owner_of,
+    parts_of_study,
+    paths_of,
+    unused_settings,
+)
 from pixsim.studies.table import Label
 from pixsim.studies.uncertainty import FEW_SENSORS
 from pixsim.viewer.display import dot_edges_um

@@ -35,7 +35,8 @@ from pixsim.viewer.score import converged, mean_words, shown_mean, unmet
 from pixsim.viewer.screen import rounded_up
 
 if TYPE_CHECKING:
-    from pixsim.studies.result import Curve, StudyResult
+    from pixsim.studies.curve import Curve
+    from pixsim.studies.result import StudyResult
     from pixsim.studies.run import RunResult
 
 FILLED = 0.9995  # larger fill factors are shown as 100 %: data sheets give the numbers of the whole pixel

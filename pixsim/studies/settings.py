@@ -1,20 +1,45 @@
-"""The settings of a study, and its pixel sizes."""
+"""What a study asks: its settings and pixel sizes, its axes and conditions, and the layers of files and options below them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any, Self
+import re
+import tomllib
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, reduce
+from operator import getitem
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    SerializerFunctionWrapHandler,
+    Tag,
+    model_serializer,
+    model_validator,
+)
 
-from pixsim.base.arguments import checks_arguments
-from pixsim.base.records import AnyNumber, Record, UnitInterval, as_list
-from pixsim.light.quantities import Fraction
+from pixsim.base.arguments import brief, checks_arguments
+from pixsim.base.caller import setting
+from pixsim.base.errors import invalid, name_fault
+from pixsim.base.layers import Layer, nested
+from pixsim.base.notes import warn
+from pixsim.base.problems import BRANCHES
+from pixsim.base.records import AnyNumber, NumberOrText, Record, UnitInterval, as_list, checked
+from pixsim.light.curves import RESPONSES
+from pixsim.light.quantities import ILLUMINANCE, LUMINANCE, Fraction
 from pixsim.scene.study_scene import StudyScene
 from pixsim.sensor.colour_options import efficiencies_of
 from pixsim.sensor.pixel_options import (
     BORDER_PIXELS,
+    DATA_SHEET,
     NO_TECHNOLOGY,
+    SCALED_WITH_AREA,
+    STANDS_FOR,
     Pixel,
     PixelOptions,
     excluded_by,
@@ -22,9 +47,314 @@ from pixsim.sensor.pixel_options import (
     missing_of_data_sheet,
 )
 from pixsim.sensor.quantities import Pitch
-from pixsim.studies.axes import AXIS_COUNT, Axis, Condition, check_case_folders, paths_of
 from pixsim.viewer.develop_options import check_develop
-from pixsim.viewer.setting import Setting
+from pixsim.viewer.merging import merge, merged
+from pixsim.viewer.setting import Run, Setting
+from pixsim.viewer.settings_file import packaged_sensors, settings_layer, warn_of_mixed_sensors
+
+# --- axes and conditions ----------------------------------------------------------------------------------------------------------
+
+AXIS_COUNT = 1000  # values of an axis, and axes, conditions and technologies of a study
+MOST_TOGETHER = 100  # settings of an axis that take each value together
+NOT_NAMES = {"pitch", "technology", "pitch_um", "repeat", "key", "condition"}  # columns of a study's rows
+PITCH_TABLE = "pitch"
+# Settings of the study as a whole, with a hint.
+NOT_SETTINGS = {
+    **dict.fromkeys(("name", "streams", "title", "axis", "condition", "sources", "sensors", "paper"), ""),
+    PITCH_TABLE: "pixel sizes are an axis of every study, set by [pitch]",
+    "technologies": "name technologies in the study, or vary pixel.technology by an axis",
+    "seed": "all cases have the same seeds, so that they differ by their settings alone",
+    **dict.fromkeys(
+        ("repeats", "target_ci_um", "refine", "max_repeats", "max_evaluations"), "the sensors of all cases are counted alike"
+    ),
+    **dict.fromkeys(("tolerance_delta_e", "max_seconds"), "vary resolution or render_noise to see their errors"),
+    **dict.fromkeys(("iso_delta_e", "detail", "noise_budget"), "it changes the report, not its numbers"),
+}
+
+
+def setting_path(dotted: str) -> tuple[str, ...]:
+    """Parts of a dotted setting, as TOML writes keys: process."0.35um".prnu has three. ValueError if it is none."""
+    try:
+        node: Any = tomllib.loads(f"{dotted} = 0") if "\n" not in dotted and "=" not in dotted else None
+    except tomllib.TOMLDecodeError:
+        node = None
+    path: list[str] = []
+    while isinstance(node, dict):
+        ((part, node),) = node.items()
+        path.append(part)
+    if not path:
+        raise ValueError(f"got {dotted!r}; allowed: a dotted setting, as camera.f_number")
+    return tuple(path)
+
+
+def setting_table(path: Sequence[str], value: object) -> dict[str, Any]:
+    """Nested tables that set one value. The technology of the pixel is a study's only technology."""
+    if tuple(path) == ("pixel", "technology"):
+        return {"technologies": [value]}
+    return nested(path, value)
+
+
+def with_technology(table: dict[str, Any]) -> dict[str, Any]:
+    """The settings of an axis' value, with the technology as `setting_table` has it."""
+    pixel = table.get("pixel")
+    if not isinstance(pixel, dict) or "technology" not in pixel:
+        return table
+    left = {name: value for name, value in pixel.items() if name != "technology"}
+    others = {name: value for name, value in table.items() if name != "pixel"} | ({"pixel": left} if left else {})
+    return others | {"technologies": [pixel["technology"]]}
+
+
+def paths_of(table: Mapping[str, Any], above: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """Paths of the values of nested tables; `dark_current` of a pixel and the curves of its channels are one value each."""
+    for name, value in table.items():
+        if isinstance(value, dict) and value and name not in ("dark_current", *RESPONSES):
+            yield from paths_of(value, (*above, name))
+        else:
+            yield (*above, name)
+
+
+def _settings(table: object) -> dict[str, Any]:
+    """Check which settings of a study an axis or a condition may change. ValueError for others."""
+    if not isinstance(table, dict) or not table:
+        raise ValueError("got no settings; allowed: set.<dotted name> = value, as set.camera.f_number = 2.8")
+    for path in paths_of(table):
+        value = reduce(getitem, path, table)
+        if not isinstance(value, str | int | float | list | tuple | dict):
+            raise ValueError(f"{'.'.join(path)} = {brief(value)}; allowed: a number, a text or a list")
+        if path[0] in NOT_SETTINGS:
+            hint = NOT_SETTINGS[path[0]]
+            raise ValueError(f"{'.'.join(path)} cannot be changed by an axis or a condition{hint and '; '}{hint}")
+        if path[0] == "process" and len(path) != 3:
+            raise ValueError(f"got {'.'.join(path)}; allowed: a technology in quotes and its number, as process.'0.35um'.prnu")
+    return table
+
+
+def _of_condition(table: object) -> object:
+    """As `_settings`. A technology is what a condition leaves as it is."""
+    if isinstance(pixel := _settings(table).get("pixel"), dict) and "technology" in pixel:
+        raise ValueError("pixel.technology cannot be changed by a condition; name technologies in the study, or vary it by an axis")
+    return table
+
+
+def as_paths(value: object) -> object:
+    return (value,) if isinstance(value, str) else value
+
+
+def _is_path(dotted: str) -> str:
+    _settings(nested(setting_path(dotted), 0))
+    return dotted
+
+
+MAX_CASE_NAME = 60
+
+
+def is_case_name(value: str) -> bool:
+    """Whether a text can be the label of a value of an axis."""
+    return len(value) <= MAX_CASE_NAME and re.fullmatch(r"[^\s=+,](?:[^=+,\x00-\x1f]*[^\s=+,])?", value) is not None
+
+
+def _case_name(value: str) -> str:
+    if fault := name_fault(value):
+        raise ValueError(f"got a name that {fault}; allowed: another name")
+    if not is_case_name(value):
+        raise ValueError(f"got {value!r}; allowed: a name without = + and commas, and without spaces at its ends")
+    return value
+
+
+Settings = Annotated[dict[str, Any], AfterValidator(_settings)]
+ConditionSettings = Annotated[dict[str, Any], AfterValidator(_of_condition)]
+DottedSetting = Annotated[str, AfterValidator(_is_path)]
+CaseName = Annotated[str, Field(max_length=MAX_CASE_NAME), AfterValidator(_case_name)]
+
+
+# Names that the files and folders of a study have, or may have.
+FILES_OF_STUDY = re.compile(r"\..*|.*\.(toml|csv|json|html|svg|pdf|png|part|old\d*)|figures|pictures|sensors", re.IGNORECASE)
+
+
+def case_folder(words: str) -> str:
+    """The name of a case's folder in that of the study, from its values and condition."""
+    return re.sub(r"[^\w.\-]+", "_", words)
+
+
+def check_case_folders(words: Sequence[str]) -> None:
+    """Raise ValueError if the folders of two cases would be one, also where capitals do not count, or have a file's name."""
+    taken: dict[str, str] = {}
+    for each in words:
+        folder = case_folder(each)
+        if FILES_OF_STUDY.fullmatch(folder):
+            raise ValueError(f"the folder of '{each}' would be '{folder}', as a file of pixsim; allowed: another name")
+        if other := taken.get(folder.casefold()):
+            raise ValueError(f"the folders of '{other}' and '{each}' would both be '{folder}'; allowed: names that differ more")
+        taken[folder.casefold()] = each
+
+
+SEVERAL_TECHNOLOGIES = (  # how a study varies what no axis may be named after
+    'Several are stated by technologies = ["0.35um", "0.18um"], in a study\'s file or in Python; one by --pixel.technology'
+)
+
+
+def _axis_number(value: object) -> object:
+    if isinstance(value, bool) or not isinstance(value, float | int | str) or value == "":
+        raise ValueError(f"got {brief(value)}; allowed: a number, a name, or a table of label and set")
+    if isinstance(value, str) and (fault := name_fault(value)):
+        raise ValueError(f"got a name that {fault}; allowed: another name")
+    return value
+
+
+def _is_table(value: object) -> str:
+    return BRANCHES[0] if isinstance(value, dict | AxisValue) else BRANCHES[1]
+
+
+class AxisValue(Record):
+    """One value of an axis: its label, and the settings of the study that it changes."""
+
+    label: CaseName = Field(description="name of the value, in columns and results", examples=['label = "fast lens"'])
+    set: Settings = Field(description="settings, as set.camera.f_number = 2.8", examples=["set.camera.f_number = 2.8"])
+
+
+# One branch for each kind, so that a message is about the kind that was meant.
+OneOfAxis = Annotated[
+    Annotated[AxisValue, Tag(BRANCHES[0])] | Annotated[NumberOrText, BeforeValidator(_axis_number), Tag(BRANCHES[1])],
+    Discriminator(_is_table),
+]
+
+
+@dataclass(frozen=True)
+class AxisPoint:
+    """One value of an axis, ready to use.
+
+    value : the number, or its label
+    table : settings of the study
+    """
+
+    value: float | int | str
+    table: dict[str, Any]
+
+    @property
+    def label(self) -> str:
+        return self.value if isinstance(self.value, str) else f"{self.value:.4g}"
+
+
+class Axis(Record):
+    """Something that a study varies beside the pixel size: settings and their values.
+
+    Either the field set names settings that take each value together, with `values`, or `from`, `to` and `count`; or each of
+    `values` has a label and settings of its own; or `range_of` names a number of technologies, which a study replaces by values.
+    """
+
+    name: CaseName = Field(description="name in columns and for --axis", examples=['name = "lens"'])
+    set: Annotated[
+        tuple[DottedSetting, ...],
+        Field(max_length=MOST_TOGETHER),
+        BeforeValidator(as_paths, json_schema_input_type=str | tuple[str, ...]),
+    ] = Field((), description="dotted settings that take each value together")
+    values: Annotated[tuple[OneOfAxis, ...], Field(max_length=AXIS_COUNT)] | None = Field(
+        None, description="numbers or names, or tables of label and set"
+    )
+    first: AnyNumber | None = Field(None, alias="from", description="first value")
+    to: AnyNumber | None = Field(None, description="last value")
+    count: Annotated[int, Field(ge=2, le=AXIS_COUNT)] | None = Field(None, description="number of values from first to last")
+    spacing: Literal["linear", "log"] = Field("linear", description="'linear': equal steps; 'log': equal ratios")
+    range_of: str | None = Field(
+        None,
+        description=(
+            "a number of the technologies, as dark_current_na_per_cm2; its values are the ends of its range, in all technologies "
+            "together and in each alone"
+        ),
+    )
+    alone: bool = Field(False, description="vary this axis alone, about the values of the study, not with each value of the others")
+
+    model_config = ConfigDict(populate_by_name=True)
+
+    @model_validator(mode="after")
+    def _has_values(self) -> Self:
+        if self.name in NOT_NAMES:
+            hint = f". {SEVERAL_TECHNOLOGIES}" if self.name == "technology" else ""
+            raise ValueError(f"name: '{self.name}' is a column of every study; allowed: another name{hint}")
+        ends = {"from (in Python first)": self.first, "to": self.to, "count": self.count}
+        given = [name for name, value in ends.items() if value is not None]
+        if self.range_of is not None:
+            if others := [*(["set"] if self.set else []), *(["values"] if self.values is not None else []), *given]:
+                raise ValueError(f"range_of and {', '.join(others)} both state the values; give one")
+            if not self.alone:
+                raise ValueError("range_of without alone = true; allowed: ranges of technologies one at a time, with alone = true")
+            return self
+        given += ["spacing"] * ("spacing" in self.model_fields_set and self.values is not None)
+        if self.values is not None and given:
+            raise ValueError(f"values and {', '.join(given)} both state the values; give one")
+        if self.values is None and len(given) < len(ends):
+            missing = ", ".join(name for name in ends if name not in given)
+            raise ValueError(f"missing: {missing}; allowed: values = [...], or from, to and count")
+        if self.values is not None and not self.values:
+            raise ValueError("values: got an empty list; allowed: one value or more")
+        if self.spacing == "log" and not (self.first is not None and self.to is not None and min(self.first, self.to) > 0):
+            raise ValueError(f"from = {self.first:g}, to = {self.to:g} with spacing = 'log'; allowed: numbers above 0")
+        tables = [value for value in self.values or () if isinstance(value, AxisValue)]
+        if tables and (self.set or len(tables) < len(self.values or ())):
+            raise ValueError("values with settings of their own do not go with set, or with plain values; give one of them")
+        if not tables and not self.set:
+            raise ValueError("set: missing; allowed: a dotted setting, as set = 'camera.f_number', or values with label and set")
+        labels = [point.label for point in self.points]
+        if twice := [place for place, label in enumerate(labels) if label in labels[:place]]:
+            values = [self.points[place].value for place in (labels.index(labels[twice[0]]), twice[0])]
+            if values[0] != values[1]:
+                words = f"{values[0]!r} and {values[1]!r} are both {labels[twice[0]]} to 4 digits"
+                raise ValueError(f"values: {words}; allowed: values that differ in them, or labels")
+            raise ValueError(f"values: {labels[twice[0]]} stands there twice; allowed: each value once")
+        return self
+
+    @model_serializer(mode="wrap")
+    def _as_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        table = {("from" if name == "first" else name): value for name, value in handler(self).items()}
+        return {name: value for name, value in table.items() if value not in (None, {}, (), [], False, "linear")}
+
+    @cached_property
+    def points(self) -> tuple[AxisPoint, ...]:
+        """The values in order; none of a range that no study has replaced by values."""
+        if self.range_of is not None:
+            return ()
+        values: Sequence[AxisValue | float | int | str] = self.values or _spaced(
+            self.first or 0.0, self.to or 0.0, self.count or 2, self.spacing
+        )
+        paths = [setting_path(dotted) for dotted in self.set]
+        points = []
+        for value in values:
+            if isinstance(value, AxisValue):
+                points.append(AxisPoint(value.label, with_technology(value.set)))
+            else:
+                points.append(AxisPoint(value, reduce(merge, (setting_table(path, value) for path in paths), {})))
+        return tuple(points)
+
+    @property
+    def paths(self) -> tuple[tuple[str, ...], ...]:
+        """The settings that it changes."""
+        return tuple(dict.fromkeys(path for point in self.points for path in paths_of(point.table)))
+
+
+AXIS_DIGITS = 6
+
+
+def _spaced(first: float, last: float, count: int, spacing: str) -> list[float]:
+    """Values at equal steps or ratios, rounded to 6 digits, with both ends as given."""
+    part = [place / (count - 1) for place in range(count)]
+    if spacing == "log":
+        values = [first * (last / first) ** share for share in part]
+    else:
+        values = [first + (last - first) * share for share in part]
+    return [first, *(float(f"{value:.{AXIS_DIGITS}g}") for value in values[1:-1]), last]
+
+
+class Condition(Record):
+    """One of the circumstances in which the pixel is used, such as day or night."""
+
+    name: CaseName = Field(description="name in columns and results", examples=['name = "night"'])
+    weight: Annotated[float, Field(ge=0, le=1e9)] = Field(1.0, description="share of this condition; all are normalised to 1")
+    set: ConditionSettings = Field(
+        description="settings, as set.exposure.max_integration_s = 0.033", examples=["set.exposure.max_integration_s = 0.033"]
+    )
+
+
+# --- the record of a study --------------------------------------------------------------------------------------------------------
 
 MOST_PITCHES = 1000  # of a study: a curve of its optimum needs some dozen
 PITCH_RATIO = 4.0  # of the largest to the data sheet's pitch, and of that to the smallest, by default
@@ -252,3 +582,221 @@ def owner_of(study: Study, path: tuple[str, ...]) -> str:
     if study.condition and all(_that_sets(path, settings) for settings in of_conditions):
         return "every condition"
     return ""
+
+
+# --- layers of settings -----------------------------------------------------------------------------------------------------------
+
+SET_BY_STUDY = ("pitch_um", "technology")  # fields of a pixel that a study sets itself
+# Fields of a range of pitches, and those of an earlier layer that they replace.
+REPLACED_RANGE = {"values_um": ("min_um", "max_um", "count", "min_fill_factor"), "min_um": ("min_fill_factor",)}
+
+
+# Names of settings that a sensor's file does not have; those of earlier versions are refused with what takes their place.
+STUDY_ONLY = (Study.model_fields.keys() - Run.model_fields.keys()) | {"base", "quick"}
+
+
+# Questions to a study to which another command has no answer, and what asks them.
+NOT_ASKED = {
+    "smaller_than_um": "a study, whose answer is a pixel size",
+    "paper": "a study with the scene of Chen et al. (2000) and their pixel sizes",
+    "light": "sweep(light, pixels), of sensors in one light; those of a comparison see a scene, each through its own lens",
+    "without": "sweep(light, pixels, without=…); the sensors of a comparison see a scene",
+    "noise_budget": "run, study or compare, whose results have a page",
+}
+# Settings of a study that decide nothing on sensors of other commands, which have their own technologies and pixel sizes.
+STUDY_ALONE = (
+    *("name", "streams", "title", "sources", "technologies", "sensors", "process", "pitch", "repeats", "refine", "target_ci_um"),
+    *("max_repeats", "max_evaluations", "iso_delta_e", "paper"),
+)
+WORDS_OF_FILES = ("name", "title", "sources")  # which nobody states for another command
+
+
+def unused_settings(layers: Sequence[Layer], not_taken: Collection[str]) -> list[str]:
+    """Return the dotted names of settings that a command does not take, without what a file says of itself.
+
+    layers : of files and options
+    not_taken : fields of a study
+    """
+    names: list[str] = []
+    for layer in layers:
+        words = WORDS_OF_FILES if layer.source else ()
+        names += [".".join(path) for path in paths_of(layer.table) if path[0] in not_taken and path[0] not in words]
+    return names
+
+
+def check_asked(command: str, **asked: object) -> None:
+    """Raise PixsimError for something that is asked of a command, and that only others answer."""
+    for name, value in asked.items():
+        if value is not None and value is not False and value != ():
+            raise invalid(setting(name), f"a value in a {command}", f"{setting(name)} of {NOT_ASKED[name]}")
+
+
+def parts_of_study(layer: Layer) -> tuple[Layer, Layer]:
+    """Return the tables of a layer that a run has too, with the scene's parameters alone, and what only a study has."""
+    of_study = {name: value for name, value in layer.table.items() if name in STUDY_ONLY}
+    of_run = {name: value for name, value in layer.table.items() if name not in STUDY_ONLY}
+    scene = of_run.get("scene")
+    if of_study and isinstance(scene, dict) and scene.keys() <= StudyScene.model_fields.keys():
+        of_study |= {"scene": {"file": scene["file"]}} if "file" in scene else {}
+        of_run |= {"scene": scene.get("parameters", {})}
+    return Layer(of_run, layer.source, layer.named), Layer(of_study, layer.source, layer.named)
+
+
+def has_study_settings(table: dict[str, Any]) -> bool:
+    """Whether a table sets what only a study has, so that it is not a sensor's."""
+    return bool(table.keys() & STUDY_ONLY)
+
+
+def study_layers(studies: Sequence[Layer], files: Sequence[Layer], options: dict[str, Any] | None = None) -> list[Layer]:
+    """Layers of a study: its own table and overrides, then files of settings of a study or of a sensor, then the options.
+
+    A data sheet (a sensor without a technology, as `Pixel` has it) becomes the only sensor of the study, whose sizes go from a
+    quarter to four times its own unless a range is set. A technology becomes the only one of the study; the pitch of its file is
+    not used. What later layers make void is removed from those of a study. A file that gives the study another name leaves it
+    the random streams of the first.
+
+    studies : of `read_study`
+    files : of `config_layers`
+    options : tables of the study; `pixel` may also have pitch_um and technology, and `camera` pixels, as a sensor file has
+
+    Raises PixsimError if a file is invalid, or if an option sets a pitch that nothing depends on.
+    """
+    options = dict(options or {})
+    sensors = [layer for layer in files if not has_study_settings(layer.table)]
+    warn_of_mixed_sensors(sensors)
+    pixel_options = options.get("pixel", {})
+    sensor = [*sensors, Layer({name: options[name] for name in ("camera", "pixel") if name in options})]
+    settings: Run = checked(Run, sensor)  # so that errors name the fields as they were given
+    given = set(merged(sensor).get("pixel", {}))
+    derived: dict[str, Any] = {}
+    sheet = settings.pixel.technology == NO_TECHNOLOGY
+    if sheet:
+        derived = {"technologies": [NO_TECHNOLOGY], "paper": False, "pitch": {"own_um": settings.pixel.pitch_um}}
+    elif "technology" in given:
+        derived = {"technologies": [settings.pixel.technology], "paper": False}
+    elif "pitch_um" in given and given & {*DATA_SHEET, *STANDS_FOR}:
+        names = ", ".join(map(str, merged(studies).get("technologies", Study.model_fields["technologies"].default)))
+        missing = ", ".join(missing_of_data_sheet(given))
+        warn(f"[pixel] gives no technology and not {missing}, which come from the study's technology {names}")
+    scaled = bool(given & set(SCALED_WITH_AREA)) and "data_sheet_pitch_um" not in given
+    if "pitch_um" in given and scaled:
+        derived["pixel"] = {"data_sheet_pitch_um": settings.pixel.pitch_um}
+    if "pitch_um" in pixel_options and not (scaled or sheet):
+        got, expected = f"'{pixel_options['pitch_um']}' for a study", "the pitch of a data sheet: a study has sizes of its own"
+        raise invalid("pixel.pitch_um", got, expected, "Set pitch.min_um, pitch.max_um or pitch.values_um.")
+    if settings.camera.pixels:  # the die of the sheet's own pitch, whatever the pitch of the study
+        derived["camera"] = settings.camera.model_dump(include={"die_mm", "die_height_mm"})
+    source = sensors[-1].source if sensors else ""
+    first, *others = studies
+    if any(layer not in sensors and "name" in layer.table for layer in files) and "name" in first.table:
+        first = Layer({"streams": first.table["name"]} | first.table, first.source)
+    layers = [first, *others]
+    layers += [Layer(_as_study_table(layer.table), layer.source) if layer in sensors else layer for layer in files]
+    layers += [Layer(derived, source), Layer(_without_sensor_only(options))]
+    for place, layer in reversed(list(enumerate(layers))):  # so that what is void in a later layer makes nothing void before it
+        if place < len(studies) or has_study_settings(layer.table):
+            layers[place] = Layer(_without_void(layer.table, merged(layers[place + 1 :])), layer.source)
+    return with_data_sheets(layers, _without_sensor_only(options).get("pixel", {}))
+
+
+def _without_void(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, Any]:
+    """A study's table without what later layers make void."""
+    table = _with_light(_with_range(_with_technologies(table, overriding), overriding), overriding)
+    if _scene(overriding).get("file") is not None:  # the parameters of a study are those of its own scene
+        table = _without_parameters(table)
+    if isinstance(sources := table.get("sources"), dict):
+        layer = Layer(overriding)
+        table = table | {"sources": {name: source for name, source in sources.items() if not layer.names(str(name).split("."))}}
+    return table
+
+
+def _scene(table: dict[str, Any]) -> dict[str, Any]:
+    """The table `scene` of a study; an empty one if it is none."""
+    scene = table.get("scene")
+    return scene if isinstance(scene, dict) else {}
+
+
+def _with_technologies(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, Any]:
+    """A study's table without the numbers and the data sheets of technologies that overriding ones leave out."""
+    names = overriding.get("technologies")
+    if not isinstance(names, list):
+        return table
+    parts = {part: values for part in ("process", "sensors") if isinstance(values := table.get(part), dict)}
+    return table | {part: {name: value for name, value in values.items() if name in names} for part, values in parts.items()}
+
+
+def _without_parameters(table: dict[str, Any]) -> dict[str, Any]:
+    """A study's table without the parameters of its scene."""
+    scene = table.get("scene")
+    if not isinstance(scene, dict):
+        return table
+    return table | {"scene": {name: value for name, value in scene.items() if name != "parameters"}}
+
+
+def _with_range(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, Any]:
+    """A study's table without the fields of [pitch] that an overriding range makes void, such as a list of pitches."""
+    pitch, given = table.get("pitch"), overriding.get("pitch", {})
+    if not (isinstance(pitch, dict) and isinstance(given, dict)):
+        return dict(table)
+    void = {name for name, others in REPLACED_RANGE.items() if name not in given and any(other in given for other in others)}
+    return table | {"pitch": {name: value for name, value in pitch.items() if name not in void}}
+
+
+def _with_light(table: dict[str, Any], overriding: dict[str, Any]) -> dict[str, Any]:
+    """A study's table without the luminance of its scene where an overriding one states the illuminance, or the other way round."""
+    scene, given = table.get("scene"), _scene(overriding).get("parameters", {})
+    if not (isinstance(scene, dict) and isinstance(own := scene.get("parameters"), dict) and isinstance(given, dict)):
+        return table
+    stated = given.keys() & {ILLUMINANCE, LUMINANCE}
+    void = {ILLUMINANCE, LUMINANCE} - stated if stated else set()
+    return table | {"scene": scene | {"parameters": {name: value for name, value in own.items() if name not in void}}}
+
+
+def with_data_sheets(layers: list[Layer], pixel_options: dict[str, Any]) -> list[Layer]:
+    """Layers of a study with the data sheets among its technologies: TOML files with a table [pixel], each a sensor of its own.
+
+    A sheet that the study's [sensors] has already, as in settings.toml, is not read again. Options of the pixel replace values of
+    each sheet, and the study's [pixel] has what a sheet leaves open. If all technologies are data sheets, the pitches go from a
+    quarter of the smallest to four times the largest, unless the study sets a range.
+
+    Raises PixsimError if a sheet is invalid.
+    """
+    study = merged(layers)
+    technologies = study.get("technologies")
+    names = dict.fromkeys(name for name in technologies if isinstance(name, str)) if isinstance(technologies, list) else {}
+    known = study.get("sensors")
+    sensors = {}
+    for name in names:
+        if isinstance(known, dict) and name in known:  # settings.toml states the values, whatever the file says now
+            sheet = [Layer({"pixel": known[name]}, f"sensors.{name}")]
+        elif _is_settings(name) and "pixel" in (layer := settings_layer(name)).table:
+            if others := [f"[{table}]" for table in layer.table if table != "pixel"]:
+                warn(f"{name}: only [pixel] is used of a sensor among technologies, not {', '.join(others)}")
+            sheet = [Layer({"pixel": study.get("pixel", {})}), Layer({"pixel": layer.table["pixel"]}, layer.source)]
+        else:
+            continue
+        settings: Run = checked(Run, [*sheet, Layer({"pixel": pixel_options})])
+        if settings.pixel.assumption:
+            warn(f"{name}: {settings.pixel.assumption}")
+        sensors[name] = settings.pixel.model_dump()
+    return [*layers, Layer({"sensors": sensors})] if sensors else layers
+
+
+def _is_settings(name: str) -> bool:
+    """Whether a technology's name is that of a TOML file, or of a packaged sensor."""
+    return name in packaged_sensors() or (name.endswith(".toml") and Path(name).is_file())
+
+
+def _without_sensor_only(table: dict[str, Any]) -> dict[str, Any]:
+    """Settings without what a study has in other fields: pitch, technology, and the pixels that make the die."""
+    left = dict(table)
+    for name, removed in (("pixel", SET_BY_STUDY), ("camera", ("pixels",))):
+        if isinstance(values := table.get(name), dict):
+            left[name] = {key: value for key, value in values.items() if key not in removed}
+    return left
+
+
+def _as_study_table(table: dict[str, Any]) -> dict[str, Any]:
+    """Convert a sensor's table to a study's: as `_without_sensor_only`, and with [scene] as scene.parameters."""
+    scene, table = table.get("scene"), _without_sensor_only(table)
+    return table | {"scene": {"parameters": scene}} if isinstance(scene, dict) else table

@@ -29,20 +29,17 @@ from pixsim.scene.packaged import packaged_scenes
 from pixsim.sensor.labels import label_of
 from pixsim.show.sentences import few
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, reference_rows, scaling_rows
-from pixsim.studies.design import Case, check_number, of_technology, warn_of_reviews
-from pixsim.studies.drawn_types import Asked, asked_of, check_types
+from pixsim.studies.curve import Curve, DisplayOptimum, Rounds, curve_of, on_first_display
+from pixsim.studies.design import Case, Sizes, check_number, metrics_of, of_technology, study_pitches_um, warn_of_reviews
 from pixsim.studies.dry_run import largest_frame_bytes
 from pixsim.studies.engine import Workers, jobs_in_memory, results_of, workers_for
 from pixsim.studies.evaluate import Counts, LitCase, check_ideals, evaluate_points, ideal_facts, lit_cases
 from pixsim.studies.files import load_study, scene_table, settings_text, spreads_of_study, tables_of_python, uncertainty_of
 from pixsim.studies.lights import Light, render_lights
-from pixsim.studies.prepare import Job, cases_of_sensors, check_given_light, prepare
-from pixsim.studies.result import CasesResult, Curve, StudyResult, causes_of_curve, curve_of
-from pixsim.studies.rounds import Rounds, on_first_display
+from pixsim.studies.prepare import Asked, Job, asked_of, cases_of_sensors, check_given_light, check_types, prepare
+from pixsim.studies.result import CasesResult, StudyResult, causes_of_curve
 from pixsim.studies.settings import Study
-from pixsim.studies.sizes import DisplayOptimum, Sizes, metrics_of, study_pitches_um
-from pixsim.studies.store import check_replaceable_results
-from pixsim.studies.table import DOTS, Label, Table
+from pixsim.studies.table import DOTS, Label, Table, check_replaceable_results
 from pixsim.studies.uncertainty import (
     FEW_SENSORS,
     MOST_EVALUATIONS,

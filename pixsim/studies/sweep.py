@@ -24,20 +24,16 @@ from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import array_size_um
 from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.studies.design import BASE, Case, check_number, named, warn_of_reviews, with_range_ends
-from pixsim.studies.drawn_types import Asked, Types, asked_of
+from pixsim.studies.design import BASE, Case, check_number, metrics_of, named, warn_of_reviews, with_range_ends
 from pixsim.studies.engine import Workers, workers_for
 from pixsim.studies.evaluate import LitCase, check_ideals, evaluate_points, lit_cases
 from pixsim.studies.files import checked_study, config_layers, tables_of_python
-from pixsim.studies.layers import STUDY_ALONE, check_asked, parts_of_study, unused_settings
 from pixsim.studies.lights import Light
-from pixsim.studies.prepare import check_axis_names, check_given_light, check_metrics, of_given_light
+from pixsim.studies.prepare import Asked, Types, asked_of, check_axis_names, check_given_light, check_metrics, of_given_light
 from pixsim.studies.result import causes_of_frames
 from pixsim.studies.sensors import circumstances
-from pixsim.studies.settings import Study
-from pixsim.studies.sizes import metrics_of
-from pixsim.studies.store import check_replaceable_results
-from pixsim.studies.table import Table
+from pixsim.studies.settings import STUDY_ALONE, Study, check_asked, parts_of_study, unused_settings
+from pixsim.studies.table import Table, check_replaceable_results
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display import dot_edges_um, picture_size_um
 from pixsim.viewer.display_options import Display

@@ -1,21 +1,41 @@
-"""The one result of evaluations: a table with a row for each, as typed columns, with the labels of its case."""
+"""The one result of evaluations: a table of typed columns with the labels of each case; and its file, results.csv.
+
+A table has a row for each evaluation. Rows of results.csv are appended as they finish, from which interrupted work goes on.
+"""
 
 from __future__ import annotations
 
+import csv
+import errno
+import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+import shutil
+import stat
+from array import array
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import chain, islice, pairwise
-from typing import TYPE_CHECKING, Any, overload
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base.arguments import checks_arguments
-from pixsim.viewer.metrics import DELTA_E, Metric, columns_of_metrics, columns_with_numbers
+from pixsim.base.arrays import Array
+from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.files import digest_of, kind_of, opened, replacing, version_of_files
+from pixsim.base.notes import warn
+from pixsim.base.schema import KEY, SCHEMA, of_another
+from pixsim.base.version import VERSION
+from pixsim.show.pages import csv_text
+from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, PIXEL_STATISTICS, ROUNDING, Metric, columns_of_metrics, columns_with_numbers
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+# --- the table --------------------------------------------------------------------------------------------------------------------
 
 DOTS, DEGREE = "dots", "samples_per_deg"  # columns where frames are shown on several displays
 REASON = "reason"
@@ -160,3 +180,258 @@ def _moved(entries: Mapping[int, Any], places: NDArray[Any]) -> dict[int, Any]:
     if not entries:
         return {}
     return {new: entries[old] for new, old in enumerate(places.tolist()) if old in entries}
+
+
+# --- results.csv ------------------------------------------------------------------------------------------------------------------
+
+COLUMNS = (*OF_PIXEL, *DELTA_E.columns)  # of results.csv of a study with ΔE alone
+TEXTS = COLUMNS[:2]
+MAX_BYTES = 1 << 31  # eight million rows
+MAX_LINE = 1 << 14
+ROWS_AT_ONCE = 1 << 10  # that are written
+
+Row = dict[str, str]  # of a file
+
+
+def row_columns(labels: Sequence[str], metrics: Sequence[Metric] = (DELTA_E,)) -> tuple[str, ...]:
+    """Return the columns of results.csv, with further labels after the repeat, and those of some metrics at the end."""
+    after = OF_PIXEL.index("repeat") + 1
+    return *OF_PIXEL[:after], *labels, *OF_PIXEL[after:], *columns_of_metrics(metrics)
+
+
+class Store:
+    """The rows of evaluations by their keys: their numbers in memory, and all of them in results.csv, appended as they finish.
+
+    path : of the file; None keeps them in memory alone
+    labels : columns that tell cases and displays apart, after the repeat
+    metrics : of the rows
+    another_schema : that a row of the file states which is left out; empty if it states none, None if there is no such row
+    """
+
+    def __init__(self, path: Path | None, labels: Sequence[str] = (), metrics: Sequence[Metric] = (DELTA_E,)) -> None:
+        self.path = path
+        self.another_schema: str | None = None
+        self.columns, self.metrics = row_columns(labels, metrics), tuple(metrics)
+        self.numbers = *PIXEL_STATISTICS, *columns_of_metrics(metrics)
+        self._places: dict[str, int] = {}
+        self._values = array("d")
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._places
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def values_of(self, keys: Sequence[str]) -> Array:
+        """Return the numbers of some rows, (rows, numbers); NaN of those that are not there."""
+        places = np.fromiter((self._places.get(key, -1) for key in keys), np.int64, len(keys))
+        values = np.full((len(keys), len(self.numbers)), math.nan)
+        stored = places >= 0
+        values[stored] = np.frombuffer(self._values).reshape(-1, len(self.numbers))[places[stored]]
+        return values
+
+    def add(self, rows: Collection[Sequence[Any]]) -> None:
+        """Add rows, each in the order of the columns, to the file and to memory."""
+        if self.path is not None and rows:
+            self._append(self.path, rows)
+        for row in rows:
+            self._keep(row[0], row[-len(self.numbers) :])
+
+    def _keep(self, key: str, numbers: Sequence[float]) -> None:
+        self._places[key] = len(self._values) // len(self.numbers)
+        self._values.extend(numbers)
+
+    def resume(self, is_expected: Callable[[Row], bool], is_edited: Callable[[Row], bool] = lambda _: False) -> list[str]:
+        """Take over the expected rows of the file, and return their keys.
+
+        If there are others, copy the file; leave only the expected rows.
+
+        is_edited : whether a row that is not expected has the key of one that is
+
+        Warns of rows of another schema or version of pixsim, and of rows that cannot be: they are computed again.
+        """
+        if self.path is None:
+            return []
+        has_others, impossible = False, 0
+        for row in self._whole_rows(self.path):
+            expected = is_expected(row)
+            if expected and is_possible(row, self.metrics):
+                self._keep(row["key"], [float(row[name]) for name in self.numbers])
+            else:
+                has_others = True
+                impossible += expected or is_edited(row)
+                self._places.pop(row["key"], None)
+
+        has_content = self.path.is_file() and self.path.stat().st_size > len(self._text([self._head])) + 1
+        if has_content and (has_others or not self._places or self.another_schema is not None):
+            self._say_what_is_kept(self.path, impossible)
+        self.write(self._trusted_rows(self.path, is_expected))
+        return list(self._places)
+
+    def _trusted_rows(self, path: Path, is_expected: Callable[[Row], bool]) -> Iterator[list[str]]:
+        """Yield the rows of the file that were taken over, each once."""
+        written: set[str] = set()
+        for row in self._whole_rows(path):
+            if row["key"] in self._places and row["key"] not in written and is_expected(row) and is_possible(row, self.metrics):
+                written.add(row["key"])
+                yield [row[name] for name in self.columns]
+
+    def _say_what_is_kept(self, path: Path, impossible: int) -> None:
+        """Copy the file, and warn of its rows that do not continue."""
+        backup = self._back_up(path)
+        if self.another_schema is not None:
+            kept = f"They are kept in '{backup}', and computed again."
+            warn(f"results: rows of '{path}' state {of_another(self.another_schema)}. {kept}")
+        elif not self._places and (version := version_of_files(path.parent)) != VERSION:
+            which = f"of pixsim {version}" if version else "of other settings, or of another version of pixsim"
+            kept = f"They are kept in '{backup}', and computed again; only the settings and the version that wrote them"
+            warn(f"results: the rows of '{path}' are {which}. {kept} continue them.")
+        if impossible:
+            which = f"{impossible} row{'s' * (impossible > 1)} of '{path}' cannot be, by ΔE, size or another number"
+            warn(f"results: {which}. The file is kept as '{backup}', and they are computed again.")
+
+    def finish(self, keys: Collection[str], rows: Iterable[Sequence[Any]]) -> None:
+        """Leave only these rows in the file, copied first if it holds others.
+
+        keys : of the rows
+        """
+        if self.path is None:
+            return
+        known = frozenset(keys)
+        if any(row["key"] not in known for row in self._whole_rows(self.path)):
+            self._back_up(self.path)
+        self.write(rows)
+
+    def read_keys(self) -> set[str]:
+        """Return the keys of the complete rows of the file; an incomplete last line is ignored."""
+        return set() if self.path is None else {row["key"] for row in self._whole_rows(self.path)}
+
+    def _whole_rows(self, path: Path) -> Iterator[Row]:
+        """Iterate over the complete rows of this schema, one in memory at a time."""
+        self.another_schema = None
+        if not path.is_file():
+            return
+        allowed = "the rows of a study"
+        with opened(path, "results", allowed, MAX_BYTES) as file:
+            try:
+                for row in (reader := csv.DictReader(_lines(file))):
+                    names = reader.fieldnames or ()
+                    stated = row.get(KEY) if KEY in names else "" if TEXTS[0] in names else None
+                    if stated != str(SCHEMA):
+                        if stated == "" or (stated and stated.isdecimal()):  # else the row is damaged
+                            self.another_schema = stated
+                    elif self._is_whole(row):
+                        yield {name: row.get(name) or "" for name in self.columns}
+            except csv.Error as error:
+                hint = "Move the file away: its rows are then computed again."
+                raise invalid("results", f"'{path}' ({error})", allowed, hint) from None
+            except OSError as error:
+                raise invalid("results", f"'{path}' ({error.strerror})", allowed) from None
+
+    def _is_whole(self, row: Row) -> bool:
+        """Return whether a row has every column, with numbers where they belong; other rows are computed again."""
+        try:
+            variants = {name for metric in self.metrics for name in metric.variants if metric.may_lack(name, float(row[name]))}
+            names = [name for name in (*OF_PIXEL, *columns_of_metrics(self.metrics)) if name not in variants]
+            return all(row[name] if name in TEXTS else math.isfinite(float(row[name])) for name in names)
+        except (KeyError, TypeError, ValueError):
+            return False
+
+    def _back_up(self, path: Path) -> str:
+        """Copy the file to FILE.old, or FILE.old2 and so on if there are such copies of other content; return the name."""
+        with clear_write_errors(path), opened(path, "results", "the rows of a study", MAX_BYTES) as content:
+            digest = digest_of(path)
+            copy, number = path.with_name(f"{path.name}.old"), 1
+            while os.path.lexists(copy):
+                if stat.S_ISREG(copy.lstat().st_mode) and digest_of(copy) == digest:
+                    return copy.name
+                number += 1
+                copy = path.with_name(f"{path.name}.old{number}")
+            with replacing(copy, named=False) as partial, partial.open("wb") as file:
+                shutil.copyfileobj(content, file)
+            return copy.name
+
+    def write(self, rows: Iterable[Sequence[Any]]) -> None:
+        """Replace the file by these rows, completely or not at all."""
+        assert self.path is not None
+        left = chain([self._head], rows)
+        with clear_write_errors(self.path), replacing(self.path, named=False) as partial, partial.open("wb") as file:
+            while some := list(islice(left, ROWS_AT_ONCE)):
+                file.write(self._text(some))
+
+    def _append(self, path: Path, rows: Collection[Sequence[Any]]) -> None:
+        """Append all of the rows to the file, or none if writing fails."""
+        text = self._text(rows)
+        with clear_write_errors(path), open(path, "ab", 0, opener=not_through_links) as file:
+            before = file.tell()
+            try:
+                if file.write(text) != len(text):
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            except BaseException:
+                file.truncate(before)
+                raise
+
+    @property
+    def _head(self) -> tuple[str, ...]:
+        return self.columns
+
+    def text(self, rows: Iterable[Sequence[Any]]) -> str:
+        """Return a file of these rows."""
+        return self._text([self._head, *rows]).decode()
+
+    def _text(self, rows: Iterable[Sequence[Any]]) -> bytes:
+        """Return rows as lines of the file; the schema stands at the end of each."""
+        return csv_text([*row, KEY if row is self.columns else SCHEMA] for row in rows).encode()
+
+
+def check_replaceable_results(path: Path) -> None:
+    """Raise PixsimError if results.csv is a link, or does not begin with the columns of a study: it is another program's."""
+    if not os.path.lexists(path):
+        return
+    allowed, hint = "the rows of a study, or no such file", "Choose another folder with --out, or move the file away."
+    if not stat.S_ISREG(mode := path.lstat().st_mode):
+        raise invalid("results", f"'{path}', {kind_of(mode)}", allowed, hint)
+    with opened(path, "results", allowed) as file:
+        first = file.readline(MAX_LINE)
+    if first and not first.startswith(",".join(COLUMNS[:3]).encode()):
+        raise invalid("results", f"'{path}', not written by pixsim", allowed, hint)
+
+
+@contextmanager
+def clear_write_errors(path: Path) -> Iterator[None]:
+    """Raise PixsimError in place of an OSError of the file, such as a full disk."""
+    try:
+        yield
+    except OSError as error:
+        raise PixsimError(
+            f"results: '{path}' cannot be written ({error.strerror or error}). Finished rows are kept: free some disk "
+            "space, and run the same command again."
+        ) from None
+
+
+def is_possible(row: Row, metrics: Sequence[Metric] = (DELTA_E,)) -> bool:
+    """Return whether the numbers of a row can be those of an evaluation: within bounds, and as each metric allows them together.
+
+    A row is trusted otherwise: its key tells what it is of, not what came out.
+    """
+    bounds = dict.fromkeys(PIXEL_STATISTICS, (0.0, math.inf)) | {name: each.bounds for each in metrics for name in each.columns}
+    values = {name: float(row[name]) for name in bounds}
+    undefined = [name for each in metrics for name in each.variants if each.may_lack(name, values[name])]
+    for name, (low, high) in bounds.items():
+        if name not in undefined and not low - ROUNDING * abs(low) <= values[name] <= high + ROUNDING * abs(high):
+            return False
+    return all(metric.is_possible(tuple(values[name] for name in metric.columns)) for metric in metrics)
+
+
+def not_through_links(path: str, flags: int) -> int:
+    """Open a file that is not a link, as `os.open`."""
+    return os.open(path, flags | os.O_NOFOLLOW, 0o666)
+
+
+def _lines(file: IO[bytes]) -> Iterator[str]:
+    """Iterate over the lines of a file that have an end and at most `MAX_LINE` characters."""
+    while line := file.readline(MAX_LINE + 1):
+        if line.endswith(b"\n"):
+            yield line[:-1].decode(errors="replace").replace("\0", "")
+        while not line.endswith(b"\n") and (line := file.readline(MAX_LINE)):
+            pass

@@ -37,7 +37,7 @@ from pixsim.viewer.metric_registry import metrics_named
 from pixsim.viewer.metrics import DELTA_E, Metric
 
 if TYPE_CHECKING:
-    from pixsim.studies.drawn_types import Types
+    from pixsim.studies.prepare import Types
 
 DEGREE = 3  # of the regression on one input
 NEGLIGIBLE = 1e-9  # relative range of a result below which it differs by rounding

@@ -23,10 +23,9 @@ from pixsim.sensor.pixel import derive, fill_factor_law
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.spread import sheet_uncertainty
+from pixsim.studies.design import pixel_of, study_pitches_um
 from pixsim.studies.files import load_study
-from pixsim.studies.layers import with_data_sheets
-from pixsim.studies.settings import Study
-from pixsim.studies.sizes import pixel_of, study_pitches_um
+from pixsim.studies.settings import Study, with_data_sheets
 from pixsim.viewer.dark_clip import clip_words, clips_dark, dark_clip
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import settings_layer

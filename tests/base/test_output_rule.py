@@ -21,7 +21,7 @@ from pixsim.optics.exchange import write_npz
 from pixsim.scene.charts import write_chart
 from pixsim.sensor.raw import RawFrame, write_frame
 from pixsim.show.pages import rows_csv
-from pixsim.studies.store import Store, check_replaceable_results
+from pixsim.studies.table import Store, check_replaceable_results
 
 LIGHT = SpectralImage([550.0], 10.0, 5.0, data=np.full((2, 3, 1), 1e-3))
 FRAME = RawFrame(np.array([[64, 1023]]), black_level_dn=64.0, bits=10)

@@ -15,7 +15,7 @@ from pixsim.base.schema import CHANGES, KEY, SCHEMA
 from pixsim.base.toml import HEAD, read_toml, settings_table_text
 from pixsim.cli.options import answer
 from pixsim.show.document import Document
-from pixsim.studies.store import COLUMNS, Store
+from pixsim.studies.table import COLUMNS, Store
 
 
 def row(number: int) -> dict[str, str]:

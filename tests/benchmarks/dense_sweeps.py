@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 import pixsim
+from pixsim.studies.design import study_pitches_um
 from pixsim.studies.files import load_study
-from pixsim.studies.sizes import study_pitches_um
 
 DATA = Path(__file__).parents[1] / "data" / "dense_sweeps"
 SENSORS = 8

@@ -19,9 +19,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from helpers.dense_curves import covers, simulated, simulation_options
 
 from pixsim.show.figures import LOOKS, new_figure, own_style, svg_text
+from pixsim.studies.design import study_pitches_um
 from pixsim.studies.files import load_study
 from pixsim.studies.settings import Study
-from pixsim.studies.sizes import study_pitches_um
 
 CURVE = "chen2000_0.35um"
 GRID_PITCHES, GRID_SENSORS = 16, (2, 3, 4, 6, 8, 12, 16, 24, 32)

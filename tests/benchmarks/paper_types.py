@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import pixsim
-from pixsim.studies.drawn_types import unknowns_of_study
 from pixsim.studies.files import load_study
+from pixsim.studies.prepare import unknowns_of_study
 from pixsim.studies.uncertainty import sample_types, settings_of
 
 SMALLER = {"repeats": 4, "target_ci_um": None, "refine": False}

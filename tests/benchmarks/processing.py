@@ -22,8 +22,9 @@ from benchmarks.five_judges import best_words, markdown
 from helpers.documents import ROOT, blocks_of
 
 import pixsim
+from pixsim.studies.curve import Curve
 from pixsim.studies.optimum import FittedCurve
-from pixsim.studies.result import Curve, StudyResult
+from pixsim.studies.result import StudyResult
 
 PAGE = ROOT / "docs/processing.md"
 AXIS = "processing"

@@ -22,8 +22,8 @@ from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame
 from pixsim.sensor.technology import Junction, Technology
+from pixsim.studies.curve import Curve
 from pixsim.studies.optimum import Optimum
-from pixsim.studies.result import Curve
 from pixsim.studies.settings import Study
 from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.display_options import Display

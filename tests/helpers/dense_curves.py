@@ -20,10 +20,10 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from pixsim.base.arrays import Array
+from pixsim.studies.curve import next_near_best, next_sensors, next_where_open
+from pixsim.studies.design import photodiode_widths_um
 from pixsim.studies.files import load_study
 from pixsim.studies.optimum import FittedCurve, Optimum, fit_curve
-from pixsim.studies.rounds import next_near_best, next_sensors, next_where_open
-from pixsim.studies.sizes import photodiode_widths_um
 
 DATA = Path(__file__).parents[1] / "data" / "dense_sweeps"
 # Of the sweeps of chen2000; in the others the photodiode width is proportional to the pitch.

@@ -29,7 +29,7 @@ from pixsim.scene.packaged import packaged_scenes
 from pixsim.scene.scene import load_scene
 from pixsim.sensor.technology import load_technology
 from pixsim.studies.files import load_study
-from pixsim.studies.store import COLUMNS, Store
+from pixsim.studies.table import COLUMNS, Store
 
 Reader = Callable[[Path], object]
 PACKAGE = Path(pixsim.__file__).parent

@@ -12,13 +12,13 @@ from typing import Any
 import pixsim
 
 RESULTS = (  # inside other results
-    *("studies.result.Curve", "studies.optimum.Optimum", "sensor.technology.Junction", "measure.datasheet.Entry"),
+    *("studies.curve.Curve", "studies.optimum.Optimum", "sensor.technology.Junction", "measure.datasheet.Entry"),
     "verification.ladder.Rung",
 )
 RECORDS = (  # of settings, inside those that pixsim itself has
-    *("optics.camera.CameraOptions", "optics.lens_options.LensOptions", "scene.study_scene.StudyScene", "studies.axes.Axis"),
+    *("optics.camera.CameraOptions", "optics.lens_options.LensOptions", "scene.study_scene.StudyScene", "studies.settings.Axis"),
     *("sensor.colour_options.ColourOptions", "sensor.pixel_options.DarkCurrent", "sensor.pixel_options.PixelOptions"),
-    *("sensor.stack_options.StackOptions", "studies.axes.AxisValue", "studies.axes.Condition", "viewer.setting.Effort"),
+    *("sensor.stack_options.StackOptions", "studies.settings.AxisValue", "studies.settings.Condition", "viewer.setting.Effort"),
     *("studies.settings.PitchRange", "viewer.develop_options.Develop", "viewer.setting.Run", "viewer.setting.Setting"),
 )
 MODULES = {name: getattr(pixsim, name) for name in pixsim._MODULES}

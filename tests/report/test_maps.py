@@ -20,10 +20,11 @@ from pixsim.report import maps
 from pixsim.report.axes import alone_words
 from pixsim.show.figures import new_figure, own_style
 from pixsim.show.pages import Plate
-from pixsim.studies.axes import Axis
+from pixsim.studies.curve import Curve
 from pixsim.studies.design import Case, cases_of
 from pixsim.studies.optimum import FittedCurve, fit_curve
-from pixsim.studies.result import CasesResult, Curve, StudyResult
+from pixsim.studies.result import CasesResult, StudyResult
+from pixsim.studies.settings import Axis
 
 PITCH_UM = np.geomspace(2.0, 16.0, 7)
 LIGHT = pixsim.SpectralImage([550.0], 10.0, 21.2, data=np.ones((8, 8, 1)), header={})

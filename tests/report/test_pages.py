@@ -27,9 +27,9 @@ from pixsim.sensor.labels import label_of
 from pixsim.show import render
 from pixsim.show.figures import svg_text
 from pixsim.show.sentences import capital
+from pixsim.studies.design import imaging_of
 from pixsim.studies.merit import LightLevel
 from pixsim.studies.result import StudyResult
-from pixsim.studies.sizes import imaging_of
 
 RUN = "run csf --variant scalar_spectral --resolution 128 --display.dots 200 --pixel.pitch-um 10.6 --raw png --out"
 TITLE = "<script>alert(1)</script> \"quoted\" & 'Ångström' µm"

@@ -35,10 +35,10 @@ from pixsim.show.figures import ISO_SMOOTHING_DOTS, label_axes, new_figure, own_
 from pixsim.show.pages import Plate
 from pixsim.show.render import answer_and_rest
 from pixsim.studies.claims import Evidence, dr_and_snr_db, growth_exponent
+from pixsim.studies.design import pixel_of
 from pixsim.studies.merit import mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, system_mtf
 from pixsim.studies.optimum import Optimum
 from pixsim.studies.result import StudyResult, delta_e_against_pitch
-from pixsim.studies.sizes import pixel_of
 
 OPTIMA_UM = {0.5: 8.8, 0.35: 6.5, 0.25: 5.3, 0.18: 3.9}
 

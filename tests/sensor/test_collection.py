@@ -40,9 +40,8 @@ from pixsim.sensor.pixel import PixelPhysics, derive, smallest_pitch_um
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.stack_options import StackOptions
 from pixsim.sensor.technology import Technology, load_technology
-from pixsim.studies.design import cases_of
+from pixsim.studies.design import cases_of, physics_of, study_pitches_um
 from pixsim.studies.settings import Study
-from pixsim.studies.sizes import physics_of, study_pitches_um
 from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.merging import merge

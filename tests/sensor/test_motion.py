@@ -28,9 +28,9 @@ from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import capture, make_sensor
 from pixsim.sensor.stages import STAGES, moving_in, stage_words
+from pixsim.studies.design import border_on_um
 from pixsim.studies.prepare import prepare
 from pixsim.studies.settings import Study
-from pixsim.studies.sizes import border_on_um
 from pixsim.studies.sweep import sweep
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.evaluate import evaluate

@@ -20,8 +20,8 @@ from pixsim.sensor.pixel_options import Pixel, excluded_by
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import capture_from_rates, frame_variance_dn2, integration_time_s, least_black_level_dn, sample_sensor
 from pixsim.sensor.technology import Technology, load_technology, with_fill_factor_law
+from pixsim.studies.design import physics_of
 from pixsim.studies.settings import Study
-from pixsim.studies.sizes import physics_of
 from pixsim.viewer.merging import merge
 
 TECHNOLOGIES = ["0.5um", "0.35um", "0.25um", "0.18um"]

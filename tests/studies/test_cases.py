@@ -24,13 +24,11 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.layers import nested
 from pixsim.cli.options import axes_of
 from pixsim.studies import prepare as preparation
-from pixsim.studies.axes import Axis
-from pixsim.studies.design import BASE, MAX_CASES, cases_of, check_number
+from pixsim.studies.design import BASE, MAX_CASES, cases_of, check_number, pixel_of
 from pixsim.studies.files import load_study
 from pixsim.studies.prepare import prepare
 from pixsim.studies.result import StudyResult
-from pixsim.studies.settings import Study
-from pixsim.studies.sizes import pixel_of
+from pixsim.studies.settings import Axis, Study
 from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.merging import merge
 from pixsim.viewer.without_effect import STREAM
@@ -381,7 +379,7 @@ def test_study_lights_are_done_one_after_the_other_in_little_memory(tmp_path: Pa
     watched: dict[str, Callable[[Any], Any] | None] = {
         "pixsim.scene.renderer.Renderer.image": lambda image: image.factors[1],
         "pixsim.viewer.scene_light.prepare_scene": lambda light: light.rate_e_per_s_um2,
-        "pixsim.studies.rounds.curve_of": None,
+        "pixsim.studies.curve.curve_of": None,
         "pixsim.studies.evaluate.evaluate_task": None,
     }
     for place, replacement in {place: recorded(place, large) for place, large in watched.items()}.items():

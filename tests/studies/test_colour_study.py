@@ -21,12 +21,11 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.toml import packaged
 from pixsim.report.maps import Grid, Scale, axis_plates
 from pixsim.scene.colour_chart import modulation, write_colour_chart
-from pixsim.studies.design import cases_of
+from pixsim.studies.design import cases_of, physics_of
 from pixsim.studies.files import load_study
 from pixsim.studies.merit import noise_budgets
 from pixsim.studies.result import CasesResult
 from pixsim.studies.settings import Study
-from pixsim.studies.sizes import physics_of
 from pixsim.viewer.merging import merge
 from pixsim.viewer.scielab import XYZ_FROM_OPPONENT
 from pixsim.viewer.screen import check_one_ideal

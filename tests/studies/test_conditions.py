@@ -13,6 +13,7 @@ from pixsim.report.regret import regrets_plate
 from pixsim.report.wording import weighted_answer
 from pixsim.show.document import plain_text
 from pixsim.show.render import lines
+from pixsim.studies.curve import Curve
 from pixsim.studies.optimum import fit_curve, fit_of_metric
 from pixsim.studies.regret import (
     Criterion,
@@ -23,7 +24,6 @@ from pixsim.studies.regret import (
     weighted_fit,
     weighted_mean,
 )
-from pixsim.studies.result import Curve
 from pixsim.studies.sentences import regrets_tables
 from pixsim.studies.settings import Study
 from pixsim.viewer.metric_registry import metrics_named

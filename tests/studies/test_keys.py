@@ -11,7 +11,7 @@ from helpers.tiny import lit_sensors, tiny
 
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
-from pixsim.studies.keys import light_hash
+from pixsim.studies.design import light_hash
 from pixsim.studies.settings import Study
 
 NAMES = "name", "streams"  # their content is that of the random streams

@@ -24,15 +24,16 @@ from pixsim.report.study import study_document
 from pixsim.show.document import DocumentTable, Fact
 from pixsim.show.render import text
 from pixsim.studies import sensors
+from pixsim.studies.curve import Curve, shown_mean_and_ci95
+from pixsim.studies.design import photodiode_widths_um
 from pixsim.studies.files import load_study, settings_text
 from pixsim.studies.merit import quanta_of_study
 from pixsim.studies.optimum import fit_curve, fit_of_metric, told_pitches
 from pixsim.studies.prepare import prepare
 from pixsim.studies.regret import condition_regrets, metric_regrets, share_of_best
-from pixsim.studies.result import Curve, StudyResult, shown_mean_and_ci95
+from pixsim.studies.result import StudyResult
+from pixsim.studies.run import MOST_RENDERS, Search, Threshold
 from pixsim.studies.sentences import contrast_words, percent, regrets_tables, study_facts
-from pixsim.studies.sizes import photodiode_widths_um
-from pixsim.studies.threshold import MOST_RENDERS, Search, Threshold
 from pixsim.viewer.metric_options import MetricOptions
 from pixsim.viewer.metric_registry import METRICS, metrics_named
 from pixsim.viewer.metrics import DELTA_E

@@ -17,6 +17,7 @@ from scipy.integrate import quad
 from scipy.stats import multivariate_normal
 
 from pixsim.base.arrays import Array
+from pixsim.studies.curve import MAX_NEAR_BEST
 from pixsim.studies.optimum import (
     DRAWS,
     FLANK,
@@ -34,7 +35,6 @@ from pixsim.studies.optimum import (
     quadratic,
     wiener_covariance,
 )
-from pixsim.studies.rounds import MAX_NEAR_BEST
 
 PITCH = np.geomspace(5.3, 15, 16)
 BEST_UM = 8.3

@@ -46,13 +46,14 @@ from pixsim.studies.claims import (
     rise,
     threshold_contrast,
 )
+from pixsim.studies.curve import Curve
+from pixsim.studies.design import pixel_of
 from pixsim.studies.files import load_study
 from pixsim.studies.merit import mpe30_lx_s, mtf50_cy_per_mm, sensitivity_e_per_lx_s_um2, shown_mtf, study_mtf_terms, system_mtf
 from pixsim.studies.optimum import fit_curve
-from pixsim.studies.result import Curve, StudyResult
+from pixsim.studies.result import StudyResult
 from pixsim.studies.sentences import pairs_at_best_sizes
 from pixsim.studies.settings import Study
-from pixsim.studies.sizes import pixel_of
 from pixsim.viewer.mtf import mtf_terms
 
 Array = np.ndarray

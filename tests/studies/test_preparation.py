@@ -22,16 +22,17 @@ from pixsim.scene.packaged import packaged_scenes
 from pixsim.scene.plan import Plan, make_render_plan
 from pixsim.scene.renderer import Renderer
 from pixsim.sensor.pixel_options import PixelOptions
+from pixsim.studies.curve import WIDE_RATIO, Curve
+from pixsim.studies.design import BYTES_PER_PIXEL, study_pitches_um
 from pixsim.studies.dry_run import Cost, study_cost
 from pixsim.studies.files import load_study
 from pixsim.studies.lights import render_for
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E, fit_curve
 from pixsim.studies.prepare import MAX_FRAME_BYTES, choose_view, fitted_range, prepare
-from pixsim.studies.result import WIDE_RATIO, Curve, StudyResult
+from pixsim.studies.result import StudyResult
 from pixsim.studies.run import prepare as prepare_run
 from pixsim.studies.sentences import optimum_line, optimum_words, shown_mean_of
 from pixsim.studies.settings import Study
-from pixsim.studies.sizes import BYTES_PER_PIXEL, study_pitches_um
 from pixsim.viewer.scene_light import SCENE_CACHE_BYTES
 from pixsim.viewer.setting import Run
 

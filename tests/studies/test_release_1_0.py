@@ -14,7 +14,7 @@ from helpers.tiny import rows
 import pixsim
 from pixsim.base.schema import SCHEMA, json_text
 from pixsim.report.run import run_document
-from pixsim.studies.store import Store
+from pixsim.studies.table import Store
 from pixsim.viewer.settings_file import run_settings
 
 DATA = Path(__file__).parents[1] / "data" / "release_1_0_0"

@@ -21,8 +21,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.studies import compare as compare_module, sweep as sweep_module
 from pixsim.studies.engine import Workers
-from pixsim.studies.layers import NOT_ASKED
-from pixsim.studies.settings import Study
+from pixsim.studies.settings import NOT_ASKED, Study
 
 LIGHT = SpectralImage(
     [450.0, 550.0, 620.0],

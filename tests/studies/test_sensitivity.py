@@ -21,14 +21,14 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.schema import SCHEMA
 from pixsim.report.axes import axes_summary
 from pixsim.sensor.technology import load_technology
-from pixsim.studies.axes import Axis
 from pixsim.studies.claims import Evidence, findings, scaling_rows, turned_words, verdicts
-from pixsim.studies.design import Case, cases_of, with_range_ends
+from pixsim.studies.curve import Curve
+from pixsim.studies.design import Case, cases_of, study_pitches_um, with_range_ends
 from pixsim.studies.files import load_study
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.prepare import check_pitches, prepare
-from pixsim.studies.result import CasesResult, Curve, StudyResult
-from pixsim.studies.sizes import study_pitches_um
+from pixsim.studies.result import CasesResult, StudyResult
+from pixsim.studies.settings import Axis
 
 # A chart whose cells are computed, on few dots; every pitch that the paper's statements need.
 BASE_TOML = tiny_toml(

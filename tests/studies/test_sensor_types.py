@@ -17,9 +17,9 @@ from pixsim.base.errors import PixsimError
 from pixsim.report.uncertainty import uncertainty_blocks
 from pixsim.sensor.spread import Spread
 from pixsim.show.document import Answer
-from pixsim.studies.drawn_types import Asked, check_axes, unknowns_of_study
 from pixsim.studies.engine import Workers
 from pixsim.studies.files import load_study, uncertainty_of
+from pixsim.studies.prepare import Asked, check_axes, unknowns_of_study
 from pixsim.studies.settings import Study
 from pixsim.studies.study import draw_types
 from pixsim.studies.uncertainty import MOST_EVALUATIONS, TYPES_FILE, sample_of, settings_of

@@ -18,11 +18,11 @@ from pixsim.optics.stack import collected_shares
 from pixsim.report.axes import optima_columns
 from pixsim.report.maps import axis_plates
 from pixsim.sensor.reading import Readout
+from pixsim.studies.design import largest_pixel_um, photodiode_widths_um, physics_of
 from pixsim.studies.files import load_study
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.result import CasesResult, curve_table, delta_e_against_pitch
 from pixsim.studies.settings import Study
-from pixsim.studies.sizes import largest_pixel_um, photodiode_widths_um, physics_of
 
 LENS = {"height_um": 100.0, "index": 1.5, "microlens": "square", "shift": "optimal"}
 PITCHES_UM = [6.0, 7.0, 9.0, 15.0, 20.0]

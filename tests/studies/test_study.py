@@ -18,11 +18,11 @@ from pixsim.base.toml import packaged, read_toml
 from pixsim.report.study import light_against_detail, report_files
 from pixsim.sensor.readout import Frame
 from pixsim.studies import evaluate as rows_module
+from pixsim.studies.design import imaging_of, technology_of
 from pixsim.studies.files import load_study
 from pixsim.studies.prepare import prepare
 from pixsim.studies.result import StudyResult
 from pixsim.studies.sentences import optimum_line
-from pixsim.studies.sizes import imaging_of, technology_of
 
 OWN = {"repeats": 3, "seed": 1}
 TINY_TOML = tiny_toml(**OWN)

@@ -12,8 +12,7 @@ import pytest
 from helpers.tiny import tiny
 
 import pixsim
-from pixsim.studies.store import COLUMNS, Store
-from pixsim.studies.table import REASON, Table
+from pixsim.studies.table import COLUMNS, REASON, Store, Table
 
 COUNT = 5000
 

@@ -18,20 +18,22 @@ from helpers.tiny import keys, tiny as tiny_study, tiny_toml
 import pixsim
 from pixsim.base.notes import told_apart
 from pixsim.sensor.readout import Frame
-from pixsim.studies.optimum import STEEP, FittedCurve, Posterior, fit_curve
-from pixsim.studies.result import Curve, StudyResult, curve_of, open_notes, target_notes
-from pixsim.studies.rounds import (
+from pixsim.studies.curve import (
     BEYOND,
     MAX_OPEN,
     MIN_RATIO,
     ROUND,
     SENSORS_PER_ADDITION,
+    Curve,
     additions,
+    curve_of,
     next_round,
     next_sensors,
     next_where_open,
     predicted_variance,
 )
+from pixsim.studies.optimum import STEEP, FittedCurve, Posterior, fit_curve
+from pixsim.studies.result import StudyResult, open_notes, target_notes
 from pixsim.studies.table import Table
 
 Sensors = dict[float, int]
@@ -394,7 +396,7 @@ def test_study_fits_only_curves_with_new_rows(tmp_path: Path, monkeypatch: pytes
         fitted.append(technology)
         return curve_of(study, technology, table, label=label)
 
-    monkeypatch.setattr("pixsim.studies.rounds.curve_of", counted)
+    monkeypatch.setattr("pixsim.studies.curve.curve_of", counted)
     names = ["0.35um", "0.25um"]
     result = pixsim.study(tiny(technologies=names, max_evaluations=24 + 8), tmp_path, jobs=1)
     assert sorted(fitted[:2]) == sorted(names)

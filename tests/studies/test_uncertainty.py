@@ -26,11 +26,10 @@ from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.spread import Spread
 from pixsim.sensor.technology import Technology, load_technology
-from pixsim.studies.drawn_types import unknowns_of_study
-from pixsim.studies.layers import with_data_sheets
+from pixsim.studies.design import technology_of
 from pixsim.studies.optimum import fit_curve
-from pixsim.studies.settings import Study
-from pixsim.studies.sizes import technology_of
+from pixsim.studies.prepare import unknowns_of_study
+from pixsim.studies.settings import Study, with_data_sheets
 from pixsim.studies.uncertainty import (
     NORMAL_95,
     SCATTER,

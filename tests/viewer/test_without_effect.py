@@ -30,13 +30,11 @@ from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.pixel_options import NUMBERS, DarkCurrent, Pixel
 from pixsim.sensor.stack_options import StackOptions
 from pixsim.studies import sensors
-from pixsim.studies.design import Case, cases_of, with_range_ends
+from pixsim.studies.design import Case, cases_of, metrics_of, study_pitches_um, with_range_ends
 from pixsim.studies.files import load_study
-from pixsim.studies.prepare import loaded_scene, prepare
+from pixsim.studies.prepare import cases_to_try, loaded_scene, prepare, settings_of_technology
 from pixsim.studies.run import prepare as prepare_run
 from pixsim.studies.settings import Study
-from pixsim.studies.sizes import metrics_of, study_pitches_um
-from pixsim.studies.without_effect import cases_to_try, settings_of_technology
 from pixsim.verification.ladder import NOT_TAKEN
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display_options import Display

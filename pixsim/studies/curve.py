@@ -1,0 +1,612 @@
+"""Curves against pixel size with their optima: what a table says of a sensor's best size, and which further points it asks for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pixsim.base.arguments import Positive, checks_arguments, checks_fields
+from pixsim.base.arrays import Array, PositiveArray
+from pixsim.base.errors import PixsimError, invalid
+from pixsim.sensor.labels import file_label, label_of
+from pixsim.sensor.pixel_options import NO_TECHNOLOGY
+from pixsim.sensor.quantities import Pitch
+from pixsim.studies.design import Sampling, Sizes, case_words, photodiode_widths_um, study_pitches_um, technology_of
+from pixsim.studies.optimum import (
+    FEWEST_SIZES,
+    NO_VISIBLE_DELTA_E,
+    FittedCurve,
+    Optimum,
+    Posterior,
+    fit_of_metric,
+    mean_and_ci95,
+    mean_of_sensors,
+    noise_scale,
+    over_sensors,
+    rise_variance,
+    told_pitches,
+)
+from pixsim.studies.regret import metric_regrets
+from pixsim.studies.settings import Study
+from pixsim.studies.table import DOTS, Table
+from pixsim.viewer.develop_options import developed_words
+from pixsim.viewer.metrics import DELTA_E, Metric, columns_of_metrics, columns_with_numbers
+from pixsim.viewer.score import NOT_MEASURED, Cause, LightError
+
+if TYPE_CHECKING:
+    from pixsim.studies.evaluate import LitCase
+
+# --- the curve of a table ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class DisplayOptimum:
+    """The optimum of a study on a display with another number of dots than that of the study."""
+
+    dots: int
+    optimum: Optimum
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the optimum as in summary.json."""
+        return {"dots": self.dots, "optimum": self.optimum.as_dict()}
+
+
+class TooFewSizesError(PixsimError):
+    """Fewer pixel sizes of a case are possible than a curve needs."""
+
+
+WIDE_RATIO = 1.5  # of the largest to the smallest size of a range that is worth naming
+SAME_SIZE = 1e-3  # relative: an optimum at the end of a range is there to the rounding of its fit
+
+
+@checks_fields
+@dataclass(frozen=True)
+class Curve:
+    """Mean ΔE against pitch for one technology.
+
+    technology : name, or path of its file
+    feature_size_um : of the process
+    pitch_um : (pitches,) increasing
+    fill_factor : (pitches,) photodiode area over pixel area
+    statistics : `mean_delta_e` and the others, (pitches, sensors) each; NaN where a pitch has fewer sensors than others
+    fit : the fitted curve with its minimum
+    label : the technology's name for readers, unique in a study
+    fresnel_number : (pitches,) of microlenses, below 1 where the model of their diffraction is doubtful; None without microlenses
+    data_sheet : whether the sensor is described by its data sheet only, without a process
+    light, light_limit : errors of the light, the film's at the best of the pitches, and what is tolerated of them
+    at, condition, alone : of its case (`pixsim.studies.design.Case`), in a study with axes or conditions
+    left_out : pitches in µm that are not among them, each with the reason
+    on_displays : optima with half and with twice the display's dots, of a data sheet's sensor
+    from_smallest : whether the sizes begin with the smallest of the process, by its least fill factor
+    causes : of the mean ΔE of the best of the pitches, beside noise and blur, the largest first
+    metrics : that judge it; the first one is that of `fit`
+    fits : fitted curve of each further metric that tells a best size, by its name
+    variant_fits : fitted curve of each variant of a metric that tells a best size, by its column
+    developed : what is on of the development, as of `developed_words`
+    lacking : metrics that have no number at a pitch in µm, each with the reason
+    """
+
+    technology: str
+    feature_size_um: Positive
+    pitch_um: PositiveArray = field(repr=False)
+    fill_factor: Array = field(repr=False)
+    statistics: dict[str, Array] = field(repr=False)
+    fit: FittedCurve = field(repr=False)
+    label: str = ""
+    data_sheet: bool = False
+    light: LightError = field(default=NOT_MEASURED, repr=False)
+    light_limit: LightError = field(default=NOT_MEASURED, repr=False)
+    fresnel_number: Array | None = field(default=None, repr=False)
+    at: dict[str, float | int | str] = field(default_factory=dict)
+    condition: str = ""
+    alone: str = ""
+    left_out: tuple[tuple[float, str], ...] = field(default=(), repr=False)
+    on_displays: tuple[DisplayOptimum, ...] = field(default=(), repr=False)
+    from_smallest: bool = False
+    causes: tuple[Cause, ...] = field(default=(), repr=False)
+    metrics: tuple[Metric, ...] = field(default=(DELTA_E,), repr=False)
+    fits: dict[str, FittedCurve] = field(default_factory=dict, repr=False)
+    variant_fits: dict[str, FittedCurve] = field(default_factory=dict, repr=False)
+    developed: str = ""
+    lacking: tuple[tuple[str, float, str], ...] = field(default=(), repr=False)
+
+    def __post_init__(self) -> None:
+        if not self.label:
+            object.__setattr__(self, "label", label_of(self.technology))
+
+    @property
+    def file_label(self) -> str:
+        """The technology's name for file names."""
+        return file_label(self.plain_label)
+
+    @property
+    def plain_label(self) -> str:
+        """The label without the words of its case."""
+        return self.label.removesuffix(f", {self.words}") if self.words else self.label
+
+    @property
+    def words(self) -> str:
+        """Values and condition of its case as text; empty in a study without axes and conditions."""
+        return case_words(self.at, self.condition, self.alone)
+
+    @property
+    def optimum_features(self) -> float | None:
+        """The optimum in units of the feature size; None for a sensor given by its data sheet, which has no process."""
+        return None if self.data_sheet else self.optimum.pitch_um / self.feature_size_um
+
+    @property
+    def metric(self) -> Metric:
+        """The first metric, which the curve is drawn of."""
+        return self.metrics[0]
+
+    @checks_arguments
+    def judged_by(self, metric: str) -> Curve:
+        """Return the curve with one of its metrics that tell a best size as the first one.
+
+        metric : its name
+
+        Raises PixsimError for another name.
+        """
+        if metric == self.metric.name:
+            return self
+        if metric not in self.fits:
+            raise invalid("metric", f"'{metric}'", f"one that tells a best size: {', '.join([self.metric.name, *self.fits])}")
+        first = next(each for each in self.metrics if each.name == metric)
+        metrics = first, *(each for each in self.metrics if each is not first)
+        fits = {self.metric.name: self.fit} | {name: fit for name, fit in self.fits.items() if name != metric}
+        return replace(self, metrics=metrics, fit=self.fits[metric], fits=fits, on_displays=(), causes=())
+
+    @property
+    def optimum(self) -> Optimum:
+        """The pitch of minimum mean ΔE, or of the best value of the first metric, with its interval."""
+        return self.fit.optimum
+
+    @property
+    def optima(self) -> dict[str, Optimum]:
+        """The optimum by each metric that tells a best size, by the metric's name."""
+        return {self.metrics[0].name: self.optimum} | {name: fit.optimum for name, fit in self.fits.items()}
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The columns of the metrics, without variants that have no number at any pitch."""
+        return columns_with_numbers(self.metrics, self.statistics)
+
+    @property
+    def judged_by_delta_e(self) -> bool:
+        """Whether ΔE is the first metric, which the curve is drawn of."""
+        return self.metric.is_delta_e
+
+    @property
+    def has_delta_e(self) -> bool:
+        """Whether ΔE is among the metrics."""
+        return any(metric.is_delta_e for metric in self.metrics)
+
+    @property
+    def delta_e(self) -> Array:
+        """Mean ΔE of each sensor, (pitches, sensors); NaN where a pitch has fewer sensors than others.
+
+        Of a study that judges by another metric first, that metric's `loss`; NaN at pitches that are not `told`.
+        """
+        loss = self.metric.loss(self.statistics[self.metric.columns[0]])
+        return np.where(self.told[:, None], loss, np.nan)
+
+    @property
+    def told(self) -> NDArray[np.bool_]:
+        """Whether the first metric's fitted curve takes a pitch, (pitches,): not without a number, or where it is worth nothing."""
+        return told_pitches(self.metric, self.statistics[self.metric.columns[0]])
+
+    @property
+    def fitted_range_um(self) -> tuple[float, float]:
+        """Smallest and largest pitch of the fitted curve."""
+        return float(self.fit.pitch_um[0]), float(self.fit.pitch_um[-1])
+
+    @property
+    def along(self) -> tuple[Array, Array]:
+        """Pitches in µm and the first metric there, (n,) each: the fitted curve, and pitches where some sensors have 0 or less."""
+        values = self.statistics[self.metric.columns[0]]
+        dead = np.isfinite(values).any(axis=1) & ~self.told
+        pitch_um = np.append(self.fit.pitch_um, self.pitch_um[dead])
+        order = np.argsort(pitch_um, kind="stable")
+        return pitch_um[order], np.append(self.metric.of_loss(self.fit.delta_e), mean_of_sensors(values[dead]))[order]
+
+    @property
+    def means(self) -> dict[str, Array]:
+        """Mean of each statistic of ΔE over the sensors of each pitch, (pitches,); none if ΔE was not asked for."""
+        return {name: self.mean(name) for name in DELTA_E.columns if name in self.statistics}
+
+    @checks_arguments
+    def mean(self, statistic: str | None = None) -> Array:
+        """Return the mean of a statistic over the sensors of each pitch, (pitches,), in its unit.
+
+        statistic : its column in results.csv; None means `delta_e`
+        """
+        return mean_of_sensors(self.delta_e if statistic is None else self.statistics[statistic])
+
+    @checks_arguments
+    def typical(self, statistic: str) -> Array:
+        """Return the mean of a statistic over the sensors of each pitch, (pitches,), in its unit; the least one of a worst case.
+
+        statistic : its column in results.csv
+        """
+        worst = any(statistic in metric.worst for metric in self.metrics)
+        return over_sensors(np.nanmin, self.statistics[statistic]) if worst else self.mean(statistic)
+
+    @cached_property
+    def no_difference_um(self) -> tuple[float, float] | None:
+        """Range of tested pitches around the best whose mean ΔE differ by less than 0.05, uncertainty included; None if narrow.
+
+        The difference of two pitches counts with the 95 % interval of a difference, √(ci² + ci²). The range is the widest of
+        neighbouring pitches with the best of them; one of a ratio below `WIDE_RATIO` is narrow, as around any smooth minimum.
+        """
+        if not self.judged_by_delta_e:
+            return None  # the threshold is one of ΔE
+        mean, ci95 = mean_and_ci95(self.delta_e)
+        apart = np.abs(mean[:, None] - mean) + np.hypot(ci95[:, None], ci95)
+        best, widest = int(np.argmin(mean)), None
+        for first in range(best + 1):
+            for last in range(best, mean.size):
+                differ = apart[first : last + 1, first : last + 1].copy()
+                np.fill_diagonal(differ, 0.0)
+                ratio = float(self.pitch_um[last] / self.pitch_um[first])
+                if differ.max() < NO_VISIBLE_DELTA_E and ratio >= WIDE_RATIO and (widest is None or ratio > widest[1] / widest[0]):
+                    widest = float(self.pitch_um[first]), float(self.pitch_um[last])
+        return widest
+
+    @property
+    def fit_swings(self) -> bool:
+        """Whether the fitted curve is least outside the sizes that look alike, where the best size tried is not.
+
+        Beside a steep flank, a smooth curve may swing below all sizes tried. Its minimum is then doubtful.
+        """
+        if self.no_difference_um is None:
+            return False
+        low, high = self.no_difference_um
+        return not low * (1 - SAME_SIZE) <= self.optimum.pitch_um <= high * (1 + SAME_SIZE)
+
+    @property
+    def doubtful(self) -> Array:
+        """Whether the model of the microlenses is doubtful, (pitches,): a Fresnel number below 1."""
+        none = np.full(self.pitch_um.shape, np.inf)
+        return np.asarray((none if self.fresnel_number is None else self.fresnel_number) < 1)
+
+    @property
+    def doubtful_below_um(self) -> float | None:
+        """Pitch below which the model of the microlenses is doubtful: a Fresnel number of 1; None without microlenses."""
+        if self.fresnel_number is None:
+            return None
+        return float(self.pitch_um[0] / np.sqrt(self.fresnel_number[0]))
+
+    @checks_arguments
+    def fresnel_at(self, pitch_um: Pitch) -> float | None:
+        """Return the Fresnel number of the microlens at any pitch, to whose square it is proportional; None without microlenses."""
+        return None if self.doubtful_below_um is None else (pitch_um / self.doubtful_below_um) ** 2
+
+    @property
+    def sensors(self) -> Array:
+        """Number of sensors of each pitch, (pitches,)."""
+        return np.max([np.isfinite(values).sum(axis=1) for values in self.statistics.values()], axis=0)
+
+    @property
+    def optimum_fill_factor(self) -> float:
+        """Fill factor at the optimum, interpolated linearly between pitches."""
+        return float(np.interp(self.optimum.pitch_um, self.pitch_um, self.fill_factor))
+
+    def _further_metrics(self) -> dict[str, Any]:
+        """Return what summary.json has of metrics beside ΔE alone."""
+        if [metric.name for metric in self.metrics] == [DELTA_E.name]:
+            return {}
+        optima = {name: optimum.of_metric() for name, optimum in self.optima.items()}
+        optima |= {name: fit.optimum.of_metric() for name, fit in self.variant_fits.items()}
+        names = self.columns
+        regrets = metric_regrets(self)
+        told = {} if regrets is None else {"regrets": regrets.as_dict()}
+        means = {name: [value if math.isfinite(value) else None for value in self.typical(name).tolist()] for name in names}
+        return {"optima": optima, "metrics": means} | told
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the curve as in summary.json."""
+        mean, ci95 = shown_mean_and_ci95(self)
+        of_case = {name: value for name, value in (("at", self.at), ("condition", self.condition), ("alone", self.alone)) if value}
+        return {
+            "technology": self.technology,
+            **of_case,
+            "optimum": self.optimum.as_dict() if self.judged_by_delta_e else self.optimum.of_metric(),
+            "no_visible_difference_um": self.no_difference_um,
+            "optimum_fill_factor": self.optimum_fill_factor,
+            "optimum_features": self.optimum_features,
+            **({"causes": [cause.as_dict() for cause in self.causes]} if self.causes else {}),
+            "pitch_um": self.pitch_um.tolist(),
+            "sensors": self.sensors.tolist(),
+            "fill_factor": self.fill_factor.tolist(),
+            **({"mean_delta_e": mean.tolist(), "ci95_delta_e": ci95.tolist()} if self.judged_by_delta_e else {}),
+            **self._further_metrics(),
+            **({"left_out": {f"{pitch_um:g}": reason for pitch_um, reason in self.left_out}} if self.left_out else {}),
+            **({} if self.fresnel_number is None else {"fresnel_number": self.fresnel_number.tolist()}),
+            **({"displays": [each.as_dict() for each in self.on_displays]} if self.on_displays else {}),
+        }
+
+
+def curve_of(
+    study: Study, technology: str, table: Table, metrics: tuple[Metric, ...] | None = None, label: str | None = None
+) -> Curve:
+    """Return the curve of one technology, with its optima, from its evaluations on one display.
+
+    metrics : of which there are optima, the first one that of the curve; None takes those of the table
+    label : of sensor and case, for messages
+
+    Raises TooFewSizesError if too few pixel sizes are possible, or if the first of the metrics tells no best size.
+    """
+    metrics = metrics or table.metrics
+    left_out = {float(table.columns["pitch_um"][row]): reason for row, reason in table.impossible.items()}
+    undefined = {
+        (name, float(table.columns["pitch_um"][row])): reason
+        for row, reasons in table.undefined.items()
+        for name, reason in reasons.items()
+    }
+    possible = table.possible
+    pitches, place = np.unique(possible.columns["pitch_um"], return_inverse=True)
+    if left_out and pitches.size < FEWEST_SIZES:
+        got = f"{pitches.size} of {pitches.size + len(left_out)} pixel sizes are possible, and a curve needs {FEWEST_SIZES}"
+        raise TooFewSizesError(f"{label or label_of(technology)}: {got}. {left_out[max(left_out)]}")
+
+    repeat = possible.columns["repeat"]
+    statistics = {}
+    for name in ("integration_s", *columns_of_metrics(metrics)):
+        values = np.full((pitches.size, 1 + repeat.max()), np.nan)
+        values[place, repeat] = possible.columns[name]
+        statistics[name] = values
+    fill_factor = np.zeros(pitches.size)
+    fill_factor[place] = possible.columns["fill_factor"]
+
+    width_um = partial(photodiode_widths_um, study, technology)
+    fits = {metric.name: fit_of_metric(metric, pitches, statistics[metric.columns[0]], width_um) for metric in metrics}
+    variant_fits = {
+        name: fit_of_metric(metric, pitches, statistics[name], width_um) for metric in metrics for name in metric.variants
+    }
+    fit = fits.pop(metrics[0].name)
+    if fit is None:
+        fittable = int(told_pitches(metrics[0], statistics[metrics[0].columns[0]]).sum())
+        got = (
+            f"'{metrics[0].name}' first, with values above 0 at {fittable} of {pitches.size} pixel sizes of {label_of(technology)}"
+        )
+        hint = "Name another metric first."
+        error = invalid("metrics", got, f"values above 0 at {FEWEST_SIZES} neighbouring sizes or more", hint)
+        raise TooFewSizesError(" ".join([str(error), *undefined.values()][:2]))
+    process = technology_of(study, technology)
+    return Curve(
+        technology,
+        process.feature_size_um,
+        pitches,
+        fill_factor,
+        statistics,
+        fit,
+        data_sheet=process.name == NO_TECHNOLOGY,
+        from_smallest=study.pitch.values_um is None and study.open_range_um[0] is None,
+        metrics=metrics,
+        fits={name: fitted for name, fitted in fits.items() if fitted is not None},
+        variant_fits={name: fitted for name, fitted in variant_fits.items() if fitted is not None},
+        developed=developed_words(study.develop, [study.options_of(technology)]),
+        left_out=tuple(left_out.items()),
+        lacking=tuple((*which, reason) for which, reason in undefined.items()),
+    )
+
+
+def shown_mean_and_ci95(curve: Curve) -> tuple[Array, Array]:
+    """Return the mean of the first metric of each pitch, (P,), and half the width of its 95 % interval, NaN where not `told`."""
+    told, shown, ci95 = curve.told, curve.mean(curve.metric.columns[0]), np.full(curve.pitch_um.shape, np.nan)
+    mean, half = mean_and_ci95(curve.delta_e[told])
+    shown[told], ci95[told] = curve.metric.of_loss(mean), half if curve.metric.better == "less" else half / mean**2
+    return shown, ci95
+
+
+# --- further points ---------------------------------------------------------------------------------------------------------------
+
+ROUND = 4  # additions chosen together from one fitted curve
+SENSORS_PER_ADDITION = 2  # so that a new pitch shows its own scatter; an existing pitch gets the same number more
+# Pitches beyond each end of the interval that are candidates too. The slope at a minimum is measured best somewhat away from
+# it: with one such pitch, a tenth of simulated studies stop improving.
+BEYOND = 2
+MAX_OPEN = 48  # evaluations that a study without a target adds to a curve whose interval has an open end
+# A study without a target adds sizes near the best one, one at a time, until half the interval is that short over the size
+NEAR_BEST = 0.01
+MAX_NEAR_BEST = 8  # of them
+MIN_BETWEEN = 0.5  # share of the interval's variance that is due to the curve between the sizes, from which sizes are added
+MIN_RATIO = 1.002  # between neighbouring pitches
+DIGITS = 4  # of a new pitch, as of a study's first pitches
+
+
+def next_sensors(fit: FittedCurve, sensors: dict[float, int], max_sensors: int) -> dict[float, int]:
+    """Return the sensors of each pitch, {µm: sensors}, after a round of additions; unchanged if none is possible.
+
+    Each addition is the one that most lowers the variance of the curve's rise from its minimum to both ends of the interval:
+    the interval contains the pitches where that rise is uncertain. The variance of a Gaussian process does not depend on the
+    measured values, so it is known before they are measured.
+
+    fit : of the present pitches
+    max_sensors : at one pitch
+    """
+    chosen = dict(sensors)
+    for _ in range(ROUND):
+        options = additions(fit, chosen, max_sensors)
+        if not options:
+            break
+        pitch_um = min(options, key=lambda pitch: predicted_variance(fit, chosen | {pitch: options[pitch]}))
+        chosen[pitch_um] = options[pitch_um]
+    return dict(sorted(chosen.items()))
+
+
+def next_where_open(fit: FittedCurve, sensors: dict[float, int], started: int, max_sensors: int) -> dict[float, int]:
+    """Return `next_sensors` for a curve whose interval has an open end; unchanged for others, and at the limit of `MAX_OPEN`.
+
+    A curve that is least at an end of the range has a third of that limit: it may well go on beyond.
+
+    started : evaluations before any was added
+    """
+    if None not in fit.optimum.interval_um:
+        return sensors
+    more = next_sensors(fit, sensors, max_sensors)
+    limit = started + (MAX_OPEN if fit.optimum.inside else MAX_OPEN // 3)
+    return more if sum(more.values()) <= limit else sensors
+
+
+def next_near_best(fit: FittedCurve, sensors: dict[float, int], sizes: int) -> dict[float, int]:
+    """Return the sensors of each pitch after one more near the best, where the interval is long for want of sizes; else unchanged.
+
+    The new pitch, of one sensor, lies in the widest gap between pitches that the interval reaches: at the minimum of the fitted
+    curve, but not in the outer quarters of the gap.
+
+    sizes : pitches before any was added
+    """
+    best = fit.optimum
+    low_um, high_um = best.interval_um
+    if low_um is None or high_um is None or best.between_sizes_share < MIN_BETWEEN:
+        return sensors
+    if high_um - low_um <= 2 * NEAR_BEST * best.pitch_um or len(sensors) >= sizes + MAX_NEAR_BEST:
+        return sensors
+
+    pitches_um = np.array(sorted(sensors))
+    first = max(0, int(np.searchsorted(pitches_um, low_um, side="right")) - 1)
+    last = min(pitches_um.size - 1, int(np.searchsorted(pitches_um, high_um)))
+    places = fit.places_of(pitches_um)
+    left = first + int(np.argmax(np.diff(places[first : last + 1])))
+    if pitches_um[left + 1] < MIN_RATIO**2 * pitches_um[left]:
+        return sensors
+
+    quarter = (places[left + 1] - places[left]) / 4
+    minimum = fit.places_of(np.array([best.pitch_um]))[0]
+    is_inside = places[left] < minimum < places[left + 1]
+    place = np.clip(minimum, places[left] + quarter, places[left + 1] - quarter) if is_inside else places[left] + 2 * quarter
+    pitch_um = round(float(fit.pitches_at(np.array([place]))[0]), DIGITS)
+    return dict(sorted((sensors | {pitch_um: 1}).items()))
+
+
+def additions(fit: FittedCurve, sensors: dict[float, int], max_sensors: int) -> dict[float, int]:
+    """Return the candidate additions, {µm: new number of sensors}: pitches up to `BEYOND` outside the interval, and midpoints."""
+    pitches_um = np.array(sorted(sensors))
+    low, high = fit.optimum.interval_um
+    first = 0 if low is None else max(0, int(np.searchsorted(pitches_um, low)) - BEYOND)
+    stop = pitches_um.size if high is None else int(np.searchsorted(pitches_um, high, side="right")) + BEYOND
+    near = pitches_um[first:stop]
+    more = {um: min(sensors[um] + SENSORS_PER_ADDITION, max_sensors) for um in near.tolist() if sensors[um] < max_sensors}
+    halfway = np.round(fit.pitches_at((fit.places_of(near[:-1]) + fit.places_of(near[1:])) / 2), DIGITS)
+    for left, middle, right in zip(near[:-1].tolist(), halfway.tolist(), near[1:].tolist(), strict=True):
+        if middle >= MIN_RATIO * left and right >= MIN_RATIO * middle:
+            more[middle] = min(SENSORS_PER_ADDITION, max_sensors)
+    return more
+
+
+def predicted_variance(fit: FittedCurve, sensors: dict[float, int]) -> float:
+    """Return the variance, summed over both ends of the interval, of the curve's rise from its minimum with so many sensors."""
+    pitches_um = np.array(sorted(sensors))
+    u = fit.places_of(pitches_um)
+    mean = np.interp(u, fit.places, fit.delta_e) / fit.scale
+    counts = np.array([sensors[um] for um in pitches_um.tolist()])
+    best = fit.likeliest
+    noise = np.array([fit.loud.get(um, fit.noise) for um in pitches_um.tolist()])
+    design = replace(best.design, u=u, noise=noise * noise_scale(mean, fit.logarithmic), sensors=counts)
+    low, high = fit.optimum.interval_um
+    ends = np.array([pitches_um[0] if low is None else low, fit.optimum.pitch_um, pitches_um[-1] if high is None else high])
+    fit_of_design = Posterior(design, best.stiffness, best.residual, np.zeros(u.size), best.ripple)
+    return rise_variance(fit_of_design, fit.places_of(ends))
+
+
+# --- the rounds of a study --------------------------------------------------------------------------------------------------------
+
+
+def next_round(study: Study, curves: Sequence[Curve], sampling: Sampling, refine: bool = True) -> Sampling:
+    """Return the sampling after a round of additions to each curve; unchanged at a limit.
+
+    A curve whose interval misses `target_ci_um` gets sizes and sensors where they narrow it most. Without a target, so does one
+    whose interval has an open end (`next_where_open`), and one whose interval is long for want of sizes near the best
+    (`next_near_best`), unless the sizes are a list of the user's.
+
+    refine : whether curves without a target may have additions
+
+    The choice depends on the curves alone, so it is the same on any workers and in a resumed study.
+    """
+    chosen = dict(sampling)
+    for curve in curves:
+        sensors = sampling[curve.technology]
+        told = {um: sensors[um] for um in curve.pitch_um[curve.told].tolist() if um in sensors}
+        sizes, most = len(study_pitches_um(study, curve.technology)), max(study.repeats, study.max_repeats)
+        if study.target_ci_um is None:
+            if not (refine and study.refine) or study.pitch.values_um is not None:
+                continue
+            more = next_where_open(curve.fit, told, sizes * study.repeats, most)
+            more = next_near_best(curve.fit, told, sizes) if more == told else more
+        elif curve.optimum.half_width_um <= study.target_ci_um:
+            continue
+        else:
+            more = next_sensors(curve.fit, told, most)
+        more = more if len(told) == len(sensors) else dict(sorted((sensors | more).items()))
+        if study.max_evaluations is None:
+            within = sum(more.values()) <= sizes * most
+        else:
+            evaluations = sum(sum(counts.values()) for counts in (chosen | {curve.technology: more}).values())
+            within = evaluations <= study.max_evaluations
+        if within:
+            chosen[curve.technology] = more
+    return chosen
+
+
+@dataclass
+class Rounds:
+    """The curves of a study's cases, and which further points they ask for, from the tables of its points alone.
+
+    cases : in their light
+    is_refined : whether curves without a target may have additions
+    """
+
+    cases: Sequence[LitCase]
+    is_refined: bool
+    _curves: dict[tuple[int, bytes], Curve | str] = field(default_factory=dict, init=False, repr=False)
+
+    def curve(self, number: int, table: Table) -> Curve | str:
+        """Return the curve of a case, or why it has none; it is fitted once for the same points."""
+        key = number, b"".join(table.columns[name].tobytes() for name in ("pitch_um", "repeat"))
+        if key not in self._curves:
+            case = self.cases[number].case
+            try:
+                self._curves[key] = curve_of(case.settings, case.sensor, on_first_display(table), label=self.cases[number].label)
+            except TooFewSizesError as error:
+                self._curves[key] = str(error)
+        return self._curves[key]
+
+    def more(self, tables: Mapping[int, Table]) -> dict[int, Sizes]:
+        """Return the sizes and sensors of the cases of a group, with further ones; the same where none are needed.
+
+        tables : of each case
+        """
+        sizes = {number: sizes_of(table) for number, table in tables.items()}
+        curves = {number: self.curve(number, table) for number, table in tables.items()}
+        fitted = {number: curve for number, curve in curves.items() if isinstance(curve, Curve)}
+        if len(fitted) < len(curves):
+            return sizes
+        possible = {number: sizes_of(table.possible) for number, table in tables.items()}
+        names = {number: self.cases[number].case.sensor for number in tables}
+        study = self.cases[min(tables)].case.settings
+        sampling = {names[number]: possible[number] for number in tables}
+        chosen = next_round(study, list(fitted.values()), sampling, self.is_refined)
+        for number, name in names.items():
+            if chosen[name] != possible[number]:
+                sizes[number] = dict(sorted((sizes[number] | chosen[name]).items()))
+        return sizes
+
+
+def on_first_display(table: Table) -> Table:
+    """Return the evaluations of a case on its stated display, which has all repeats."""
+    return table.take(table.columns[DOTS] == table.columns[DOTS][0]) if DOTS in table.columns else table
+
+
+def sizes_of(table: Table) -> Sizes:
+    """Return the pixel sizes of a case and the number of sensors of each, from its points."""
+    sizes: Sizes = {}
+    for pitch_um, repeat in zip(table.columns["pitch_um"].tolist(), table.columns["repeat"].tolist(), strict=True):
+        sizes[pitch_um] = max(sizes.get(pitch_um, 0), repeat + 1)
+    return sizes
