@@ -37,7 +37,6 @@ from pixsim.scene.rules import Chart
 from pixsim.sensor.collection import Illumination
 from pixsim.sensor.integration import ChannelLight, PartBehindLens, illumination_of
 from pixsim.sensor.motion_options import STILL
-from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import frame_variance_dn2, integration_time_s, lasting
 from pixsim.viewer.chain import ImagingChain, make_chain
 from pixsim.viewer.colour_matrix import AlikeChannelsError
@@ -686,7 +685,6 @@ def chains_of_film(film: Film, lights: Sequence[tuple[ChannelLight, ...] | None]
     """Return the imaging chain of each part of a film, all exposed as long as the brightest of them allows."""
     # Each part has the border of its own pixels; what moves or flickers shows less of the film.
     steady = imaging.exposure.steady
-    readout = Readout.of(imaging.physics, steady, bin_side=1)
     imaging = imaging.changed(border_um=None, single=False, motion=STILL, exposure=steady)
 
     def prepare(number: int) -> ImagingChain:
@@ -696,7 +694,7 @@ def chains_of_film(film: Film, lights: Sequence[tuple[ChannelLight, ...] | None]
 
     chains = each_of(prepare, len(film), sum(math.prod(part.shape) for part, _ in film))
     brightest_e_per_s = max(float(chain.signal_e_per_s.max()) for chain in chains)
-    exposure = lasting(steady, integration_time_s(steady, readout, brightest_e_per_s))
+    exposure = lasting(steady, integration_time_s(steady, imaging.readout, brightest_e_per_s))
     return [replace(chain, exposure=exposure) for chain in chains]
 
 

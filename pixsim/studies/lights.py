@@ -29,7 +29,6 @@ from pixsim.sensor.labels import label_in
 from pixsim.sensor.motion_options import STILL
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import integration_time_s
 from pixsim.studies.design import OF_LIGHT, Case, imaging_of, largest_pixel_um, light_hash, physics_of, pixel_of, study_pitches_um
 from pixsim.studies.engine import Workers, results_of, workers_here
@@ -152,7 +151,6 @@ def delta_e_between(image: SpectralImage, other: SpectralImage, imaging: Imaging
     imaging = imaging.changed(border_um=None, motion=STILL, exposure=imaging.exposure.steady)
     with without_warnings():  # the run itself warns of the white
         white = white_header([(imaging, image)])
-    readout = Readout.of(imaging.physics, imaging.exposure, bin_side=1)
     places = measured_places(image, imaging.physics.read_pitch_um, imaging.display)
     whole = slice(0, image.shape[0]), slice(0, image.shape[1])
     delta_e = []
@@ -166,7 +164,7 @@ def delta_e_between(image: SpectralImage, other: SpectralImage, imaging: Imaging
             on_part = imaging.changed(display=display)
             chain = make_chain(on_part, prepare_scene(on_part, SceneLight(part)))
             brightest_e_per_s = float(chain.signal_e_per_s.max())
-            exposure = exposure or integration_time_s(imaging.exposure, readout, brightest_e_per_s)
+            exposure = exposure or integration_time_s(imaging.exposure, imaging.readout, brightest_e_per_s)
             pictures.append(chain.development.score(noiseless_frame(chain, exposure)).image)
         screen = chain.screen
         seen = replace(screen, ideal_lab=perceived_lab(pictures[0], screen.display, screen.full, screen.single))

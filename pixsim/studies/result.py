@@ -23,7 +23,6 @@ from pixsim.sensor.integration import collecting_area_um2
 from pixsim.sensor.labels import labels_of
 from pixsim.sensor.pixel import PixelPhysics, has_microlens, smallest_pitch_um
 from pixsim.sensor.quantities import Pitch
-from pixsim.sensor.reading import Readout
 from pixsim.sensor.technology import Technology, with_fill_factor_law
 from pixsim.show.figures import LOOKS, Look, literal, new_figure, own_style
 from pixsim.show.pages import Column, Plate
@@ -184,11 +183,9 @@ class StudyResult:
             clips = []
             for pitch_um, time_s in exposures:
                 imaging = imaging_of(self.study, self.camera, curve.technology, pitch_um)
-                physics = self.physics(curve.technology, pitch_um)
                 rate = white_rate(imaging, self.irradiance)
-                area_um2 = collecting_area_um2(self.irradiance, self.camera, physics)
-                readout = Readout.of(physics, self.study.exposure, bin_side=1)
-                clips.append(dark_clip(readout, time_s, rate * area_um2 * time_s))
+                area_um2 = collecting_area_um2(self.irradiance, self.camera, imaging.physics) * imaging.readout.bin_side**2
+                clips.append(dark_clip(imaging.readout, time_s, rate * area_um2 * time_s))
             self._dark[curve.technology, exposures] = {name: [clip[name] for clip in clips] for name in clips[0]}
         return self._dark[curve.technology, exposures]
 

@@ -70,6 +70,10 @@ def test_study_of_filters(tmp_path: Path) -> None:
         assert sum(budget.parts.values()) == pytest.approx(budget.mean_delta_e, abs=1e-9)
     assert ["mosaic" in budget.delta_e for budget in budgets.values()] == [False, True, True]
     score = result.case(filters="RGGB").scores("4t-bsi", 2.5, 1)[0]
+    quad = result.case(filters="quad")
+    (curve,), frame = quad.curves, quad.scores("4t-bsi", 2.5, 1)[0].frame
+    dark, size = quad.dark(curve), curve.pitch_um.tolist().index(2.5)
+    assert dark["spread_dn"][size] / dark["spread_e"][size] == pytest.approx(frame.dn_per_e, rel=1e-12)  # of four pixels together
     assert score.image.shape == (*score.delta_e.shape, 3)
     assert np.ptp(score.ideal, axis=2).max() < 0.02  # a grey chart is grey in colour: to a code of the display
 
