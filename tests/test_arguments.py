@@ -133,7 +133,7 @@ GOOD: dict[str, Any] = {
     "mean": 1.0, "rer": 0.4, "ground_m": 0.5, "snr": 50.0, "frequency": np.array([0.0, 1.0, 2.0]), "reflectance": 0.9,
     "frequency_cy_per_deg": np.array([0.0, 1.0, 2.0]), "angle_deg": 5.0, "white_cd_per_m2": 100.0,
     "ideal": PLANE, "light": LIGHT, "pixels": lambda: [PIXEL],
-    "exposures": 2, "total_s": 0.1, "chosen": LensOptions(), "pitches_um": [5.0, 10.0],
+    "exposures": 2, "total_s": 0.1, "quantity": "row_noise_e", "chosen": LensOptions(), "pitches_um": [5.0, 10.0],
     "factor": 2.0, "edges_nm": np.array([400.0, 500.0, 600.0]), "height_mm": 1.0, "azimuth_deg": 30.0,
 }  # fmt: skip
 OWN: dict[str, Any] = {

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from pixsim.base.arguments import NotNegative, Positive, Whole, check_broadcast, checks_arguments, checks_fields
 from pixsim.base.arrays import Array, PositiveArray, Positives
-from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.records import UnitInterval, content_hash
 from pixsim.light.curves import EfficiencyCurve
 from pixsim.light.quantities import MIN_FRACTION
@@ -27,7 +27,16 @@ from pixsim.sensor.colour import Layout, channel_efficiency
 from pixsim.sensor.colour_options import channels_of, efficiencies_of
 from pixsim.sensor.diffusion import ABSORPTION_RANGE_NM, SILICON_K, absorption_per_um
 from pixsim.sensor.mismatch import E_PER_FC, ELECTRON_C, dark_current_of_geometry_e_per_s, follower_offset_e, prnu_of_area
-from pixsim.sensor.pixel_options import ABSOLUTE_ZERO_C, BORDER_PIXELS, DATA_SHEET, NO_TECHNOLOGY, STANDS_FOR, Pixel, PixelOptions
+from pixsim.sensor.pixel_options import (
+    ABSOLUTE_ZERO_C,
+    BORDER_PIXELS,
+    DATA_SHEET,
+    NO_TECHNOLOGY,
+    NUMBERS,
+    STANDS_FOR,
+    Pixel,
+    PixelOptions,
+)
 from pixsim.sensor.quantities import WELL_RANGE_E, AbsorbedWavelength, AbsorptionDepth, HotMedian, HotSpread
 from pixsim.sensor.saturation import full_well_for_e
 from pixsim.sensor.stack_options import StackOptions, stack_excluded_by
@@ -597,9 +606,17 @@ class PixelPhysics:
         of_sheet = self.pixel.dark_current and self.pixel.dark_current.doubling_k
         return of_sheet or self.technology.dark_doubling_k
 
-    def number(self, name: str) -> float:
-        """Return a number that pixels and technologies may state, by its name: the pixel's own, or that of its technology."""
-        return number_of(self.pixel, self.technology, name)
+    @checks_arguments
+    def number(self, quantity: str) -> float:
+        """Return a number that pixels and technologies may state: the pixel's own, or that of its technology, in its unit.
+
+        quantity : name of a field of `PixelOptions` that a technology may have, too
+
+        Raises PixsimError for another name.
+        """
+        if quantity not in NUMBERS:
+            raise invalid("quantity", f"'{quantity}'", f"one of {', '.join(NUMBERS)}", did_you_mean(quantity, NUMBERS))
+        return number_of(self.pixel, self.technology, quantity)
 
     def _uncut_quantum_efficiency(self, wavelength_nm: Array) -> Array:
         colour, layout = self.pixel.colour, self.layout

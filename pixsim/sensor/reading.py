@@ -115,7 +115,8 @@ class Readout:
             raise invalid("exposure.frames", got, f"sums of at most {MAX_CODE_BITS} bits", "Take fewer exposures or bits.")
 
     @classmethod
-    def of(cls, physics: PixelPhysics, exposure: Exposure | None = None, *, bin_side: int | None = None) -> Readout:
+    @checks_arguments
+    def of(cls, physics: PixelPhysics, exposure: Exposure | None = None, *, bin_side: Count | None = None) -> Readout:
         """Return how the settings of a pixel and of an exposure have it read.
 
         exposure : None: at 0 dB, in one exposure
