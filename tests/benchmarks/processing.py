@@ -35,35 +35,16 @@ def best_and_value(fit: FittedCurve) -> str:
     return f"{best_words(fit)}: {fit.optimum.value:.3g}"
 
 
-def moved(raw: Curve, other: Curve) -> str:
-    """How the best size differs from that of raw pictures, with its 95 % interval, in percent; a bound where one is at an end."""
-    sizes, spreads = [], []
-    for curve in (raw, other):
-        best, (low, high) = curve.fit.optimum, curve.fit.optimum.interval_um
-        sizes.append(best.pitch_um)
-        spreads.append(tuple(math.log(side / best.pitch_um) if side and best.inside else math.nan for side in (low, high)))
-    move = math.log(sizes[1] / sizes[0])
-    if math.isnan(sum(map(sum, spreads))):
-        at_end = "at most " if not other.fit.optimum.inside else ""
-        return f"{at_end}{100 * math.expm1(move):+.0f} %"
-    low = move - math.hypot(spreads[1][0], spreads[0][1])
-    high = move + math.hypot(spreads[1][1], spreads[0][0])
-    return f"{100 * math.expm1(move):+.0f} % ({100 * math.expm1(low):+.0f} … {100 * math.expm1(high):+.0f})"
-
-
-def sizes_of(results: dict[str, StudyResult]) -> tuple[str, str]:
-    """Best size and least ΔE of each processing in each light; and how far the best size moves."""
+def sizes_of(results: dict[str, StudyResult]) -> str:
+    """Best size and least ΔE of each processing in each light."""
     curves: dict[str, dict[str, Curve]] = {}
     for name, result in results.items():
         for curve in result.curves:
             curves.setdefault(str(curve.at[AXIS]), {})[curve.condition or name] = curve
     lights = list(curves["raw"])
-    best, moves = [(AXIS, *lights)], [(AXIS, *lights)]
-    for name, own in curves.items():
-        best.append((name, *(best_and_value(own[light].fit) for light in lights)))
-        if name != "raw":
-            moves.append((name, *(moved(curves["raw"][light], own[light]) for light in lights)))
-    return markdown(best), markdown(moves)
+    rows = [(AXIS, *lights)]
+    rows += [(name, *(best_and_value(of_light[light].fit) for light in lights)) for name, of_light in curves.items()]
+    return markdown(rows)
 
 
 def small_and_large(result: StudyResult) -> str:
@@ -98,7 +79,7 @@ def main() -> None:
         return pixsim.study(str(options.out / of) if of in files else of, folder, quick=quick, jobs=options.jobs)
 
     made = (
-        *sizes_of({"paper, 1000 cd": study("paper.toml"), AXIS: study(AXIS, options.quick)}),
+        sizes_of({"paper, 1000 cd": study("paper.toml"), AXIS: study(AXIS, options.quick)}),
         small_and_large(study("two_sizes.toml")),
     )
     print("\n\n".join(made))
