@@ -118,6 +118,7 @@ def sweep(
 
     Raises PixsimError as `evaluate` does, with the pixel's name or its place in the list, from 0.
 
+    >>> import numpy as np
     >>> light = SpectralImage([550.0], 10.0, 84.8, data=np.full((32, 32, 1), 1e-3), header={"diffraction": False})
     >>> pixels = [Pixel(pitch_um=pitch_um, prnu=0) for pitch_um in (60.0, 84.8)]
     >>> table = sweep(light, pixels, camera=Camera(), display=Display(white_cd_per_m2=1000, dots=32), jobs=1)
