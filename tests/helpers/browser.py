@@ -175,7 +175,7 @@ def assert_prints(
     pictured : headings with a bitmap below them on their page; vector figures stay vectors
     """
     reader = print_page(page, folder)
-    assert len(reader.pages) in pages
+    assert len(reader.pages) in pages, f"{len(reader.pages)} pages"
     shown, text = set[str](), ""
     for number, sheet in enumerate(reader.pages, 1):
         width, height = (float(length) for length in sheet.mediabox[2:])
@@ -204,7 +204,7 @@ def assert_prints(
         for place, line in lines.items():
             if squeezed(line) in {squeezed(heading) for heading in headings}:
                 assert place > FOOT_PT, f"page {number}: {line!r} stands alone at its foot"
-    assert shown == set(pictured or [])
+    assert shown == set(pictured or []), f"pictured: {sorted(shown)}"
     for words in [*texts, *headings]:
         assert squeezed(words) in text, words
 

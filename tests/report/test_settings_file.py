@@ -257,7 +257,7 @@ def test_study_settings_with_other_display_reuse_no_row(desk: Path) -> None:
     for option in ("", "--display.dots 100", "-D max_lp_per_mm=15", "--camera.f-number 16"):
         done(f"study own.toml --config sheet.toml {option} --resolution 48 --jobs 1 --out out")
         keys.append({row["key"] for row in rows(desk / "out")})
-    assert len(set.union(*keys)) == 4 * 10
+    assert len(set.union(*keys)) == 4 * 3 * 10, "five sizes, two repeats and three displays, four times anew"
 
 
 def test_texture_file_without_cache_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

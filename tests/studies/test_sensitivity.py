@@ -229,7 +229,7 @@ def test_sensitivity_command_two_workers_same_result(done: tuple[StudyResult, Pa
         here = desk / "browser"
         here.mkdir()
         assert_fits(out / "report.html", here)
-        assert_prints(out / "report.html", here, range(1, 8), ["Each axis moved alone", "f/2.8"], ["Optima"])
+        assert_prints(out / "report.html", here, range(1, 9), ["Each axis moved alone", "f/2.8"], ["Optima"])
 
 
 # --- verdicts ---------------------------------------------------------------------------------------------------------
