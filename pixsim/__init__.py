@@ -108,6 +108,9 @@ _MODULES = {
     "spectral": "light.spectral",
 }
 
+# Type of results -> the module that plots, writes and shows them.
+PRESENTERS = {"Score": "report.score"}
+
 __all__ = [*_HOME, "optics"]
 
 

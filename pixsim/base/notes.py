@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import partial
@@ -13,7 +13,6 @@ from pathlib import Path
 
 from pixsim.base.errors import shown
 
-MOST_DIGITS = 17  # which tell any two floats apart
 # Suppresses warnings, such as of clipped white, that the run itself gives once.
 without_warnings = partial(warnings.catch_warnings, action="ignore", category=UserWarning)
 
@@ -76,21 +75,12 @@ def collected_notes(alone: bool = False) -> Iterator[list[str]]:
             _outer.reset(token)
 
 
-def _without_exponent(text: str) -> str:
-    """Write a number such as 1e+01 as 10, up to 1e15."""
-    return f"{float(text):.0f}" if "e+" in text and abs(float(text)) < 1e15 else text
+SHOWN_NOTES = 8
 
 
-def told_apart(value: float, limit: float, digits: int = 2) -> tuple[str, str]:
-    """Two numbers as text, with as many significant digits as it takes to tell them apart, at least `digits`.
-
-    >>> told_apart(0.2013, 0.2), told_apart(0.31, 0.2), told_apart(0.2, 0.2)
-    (('0.201', '0.2'), ('0.31', '0.2'), ('0.2', '0.2'))
-    >>> told_apart(13.2, 0.2, 1)
-    ('10', '0.2')
-    """
-    for count in range(digits, MOST_DIGITS + 1):
-        texts = _without_exponent(f"{value:.{count}g}"), _without_exponent(f"{limit:.{count}g}")
-        if value == limit or float(texts[0]) != float(texts[1]):
-            return texts
-    return texts
+def few(notes: Sequence[Sequence[str]]) -> list[str]:
+    """Return the notes of all cases, each once, and of very many the first ones and the number of the others."""
+    each = list(dict.fromkeys(note for part in notes for note in part))
+    if len(each) <= SHOWN_NOTES:
+        return each
+    return [*each[: SHOWN_NOTES - 1], f"and {len(each) - SHOWN_NOTES + 1} more notes of this kind, of other cases"]

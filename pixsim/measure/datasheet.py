@@ -19,9 +19,11 @@ import numpy as np
 from pixsim.base.arguments import Positive, Whole, checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
+from pixsim.base.digits import rounded
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.layers import listed
 from pixsim.base.progress import Stage, no_stage
+from pixsim.base.tables import plain, rows_csv
 from pixsim.base.toml import read_toml
 from pixsim.measure import colour as colours, estimators
 from pixsim.measure.colour import Colour, measure_colour
@@ -47,9 +49,8 @@ from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import frame_variance_dn2
 from pixsim.sensor.saturation import level_moments, peak_e
 from pixsim.sensor.stages import STAGES
-from pixsim.show.pages import Figures, plain, rows_csv
+from pixsim.show.pages import Figures
 from pixsim.show.render import notebook, write
-from pixsim.show.sentences import rounded
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import packaged_sensors, run_settings

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixsim.base.arrays import Array
+from pixsim.base.digits import number
 from pixsim.measure.estimators import LINEARITY_SHARES, SENSITIVITY_SHARE, straight_line
 from pixsim.sensor.labels import file_label, label_of
 from pixsim.sensor.pixel_options import Pixel
@@ -18,7 +19,7 @@ from pixsim.sensor.readout import BLACK_SIGMAS
 from pixsim.show.document import Answer, Document, DocumentTable, Note, Plot, Section, headline, made_with, pairs
 from pixsim.show.figures import COLOURS, LOOKS, Look, finish, new_figure, own_style, plain_powers
 from pixsim.show.pages import Plate, figure_files
-from pixsim.show.sentences import number, setting_value
+from pixsim.show.sentences import setting_value
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -18,6 +18,7 @@ from pixsim.base.caller import setting
 from pixsim.base.errors import invalid
 from pixsim.base.notes import collected_notes
 from pixsim.base.progress import Stage
+from pixsim.base.tables import plain
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
 from pixsim.optics.field_blur import UM_PER_NM, ChannelWavefronts, even_window, fit_wavefronts, periodic_psf
 from pixsim.optics.ghosts import Ghost
@@ -26,7 +27,6 @@ from pixsim.optics.lens import FirstOrder, Lens, load_lens
 from pixsim.optics.lens_waves import pupil_rays
 from pixsim.optics.quantities import FNumberOrPinhole, Reflectance
 from pixsim.optics.ray_trace import sag_and_slope
-from pixsim.show.pages import plain
 
 FIELDS = 9  # from the axis to the largest, of spots, PSFs and MTFs
 CURVE_FIELDS = 33

@@ -31,11 +31,12 @@ from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, excerpt, invalid
 from pixsim.base.notes import collected_notes, warn
 from pixsim.base.records import UnitInterval
+from pixsim.base.tables import Column, table_csv
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.raw import BITS_OF_PICTURES, ENCODING, SUFFIXES, black_levels_of, layout_of, read_picture, stated_number
 from pixsim.show.document import Document, Note, Plot, Section, headline
 from pixsim.show.figures import COLOURS, new_figure, own_style
-from pixsim.show.pages import FIGURE_SUFFIXES, Column, Figures, Plate, table_csv
+from pixsim.show.pages import FIGURE_SUFFIXES, Figures, Plate
 from pixsim.show.render import notebook, write
 from pixsim.viewer.judges.sharpness import first_crossing
 

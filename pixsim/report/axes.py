@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from pixsim.base.tables import Column, columns_of, table_csv
 from pixsim.base.toml import SETTINGS_FILE
 from pixsim.report.maps import alone_groups, alone_plate, axis_plates, case_columns, optimum_columns, plate_names
 from pixsim.report.noise_budget import NAME, budgets_section
@@ -16,7 +17,7 @@ from pixsim.report.regret import REGRETS, regrets_plate
 from pixsim.report.study import agrees, document_of, plot_of, report_files, study_page, with_files_of_study
 from pixsim.report.wording import DELTA_E, rendered_words
 from pixsim.show.document import Block, Document, DocumentTable, Fact, Link, Listed, Plot, Section, made_with, pairs
-from pixsim.show.pages import Column, Figures, columns_of, figure_files, table_csv
+from pixsim.show.pages import Figures, figure_files
 from pixsim.studies.claims import verdicts
 from pixsim.studies.design import Case, cases_of
 from pixsim.studies.engine import Workers

@@ -15,9 +15,11 @@ from typing import Any
 import numpy as np
 
 from pixsim.base.arrays import Array
+from pixsim.base.digits import rounded, span
 from pixsim.base.files import check_replaceable
 from pixsim.base.machine import processors
 from pixsim.base.records import Record
+from pixsim.base.tables import Column
 from pixsim.base.toml import SETTINGS_FILE, settings_table_text, whole_path
 from pixsim.light.curves import RESPONSES
 from pixsim.report.noise_budget import NAME, budgets_section
@@ -41,7 +43,7 @@ from pixsim.show.document import (
     Section,
     Slider,
 )
-from pixsim.show.pages import Column, Plate, figure_files
+from pixsim.show.pages import Plate, figure_files
 from pixsim.show.pictures import (
     Picture,
     delta_e_png,
@@ -55,7 +57,7 @@ from pixsim.show.pictures import (
     worst_window,
 )
 from pixsim.show.render import PAGE
-from pixsim.show.sentences import rounded, setting_value, span
+from pixsim.show.sentences import setting_value
 from pixsim.studies.comparison import ComparedSensor, Comparison, common_words, sensor_words, shown_probability
 from pixsim.studies.design import frame_cost
 from pixsim.studies.dry_run import PAGE_S, START_S, Cost, render_bytes, render_seconds

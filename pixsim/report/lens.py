@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pixsim.base.arrays import Array
+from pixsim.base.digits import UNKNOWN, number
 from pixsim.base.errors import one_line
+from pixsim.base.tables import Column
 from pixsim.measure.lens import MTF_LINES, LensData, cross_section
 from pixsim.show.document import Answer, Document, DocumentTable, Listed, Note, Plot, Section, made_with
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, finish, new_figure, own_style
-from pixsim.show.pages import Column, Plate, coarse_table, figure_files
-from pixsim.show.sentences import UNKNOWN, number
+from pixsim.show.pages import Plate, coarse_table, figure_files
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

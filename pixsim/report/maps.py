@@ -19,11 +19,12 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.records import content_hash
+from pixsim.base.tables import Column
 from pixsim.base.units import unit_of
 from pixsim.optics.camera import Camera
 from pixsim.sensor.labels import labels_of
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, Look, literal, new_figure, own_style
-from pixsim.show.pages import Column, Plate
+from pixsim.show.pages import Plate
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY
 from pixsim.studies.curve import Curve
 from pixsim.studies.design import BASE, CUTOFF_NM, cutoff_pitch_um, of_technology

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pixsim.base.digits import rounded
+from pixsim.base.tables import Column
 from pixsim.show.document import DocumentTable, Plot, Section
 from pixsim.show.figures import COLOURS, finish, new_figure, own_style
-from pixsim.show.pages import Column, Plate
-from pixsim.show.sentences import rounded
+from pixsim.show.pages import Plate
 
 if TYPE_CHECKING:
     from pixsim.viewer.noise_budget import NoiseBudget

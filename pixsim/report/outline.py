@@ -6,10 +6,10 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pixsim.base.digits import rounded
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.sensor.labels import label_of
 from pixsim.show.document import Block, Document, DocumentTable
-from pixsim.show.sentences import rounded
 from pixsim.studies.dry_run import Cost, planned_run, planned_study
 from pixsim.studies.film_error import TOLERATED_SHARE
 from pixsim.studies.merit import columns_on

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy  # whose parts are imported when they are used
 
+from pixsim.base.tables import Column
 from pixsim.report.pictures import CONTRAST_LABEL, picture_axes
 from pixsim.report.views import draw_iso, map_end, study_pictures
 from pixsim.show.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, draw_picture, draw_terms, new_figure, own_style
-from pixsim.show.pages import Column, Plate, coarse_table
+from pixsim.show.pages import Plate, coarse_table
 from pixsim.studies.claims import (
     FIGURE_2B_PITCHES_UM,
     FIGURE_6_PITCHES_UM,

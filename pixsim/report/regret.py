@@ -7,8 +7,9 @@ from itertools import cycle
 import numpy as np
 
 from pixsim.base.arrays import Array
+from pixsim.base.tables import Column
 from pixsim.show.figures import LOOKS, literal, new_figure, own_style
-from pixsim.show.pages import Column, Plate
+from pixsim.show.pages import Plate
 from pixsim.studies.curve import Curve
 from pixsim.studies.paired import mean_interval
 from pixsim.studies.regret import Regrets

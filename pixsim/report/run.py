@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pixsim.base.arrays import Array
+from pixsim.base.digits import rounded, span
 from pixsim.base.files import digest_of
 from pixsim.base.notes import warn
 from pixsim.base.progress import Progress
@@ -38,7 +39,6 @@ from pixsim.show.document import (
 from pixsim.show.pages import figure_files
 from pixsim.show.pictures import Picture, delta_e_png, display_codes, factor_for, light_png, reduced, scale, scale_end, worst_window
 from pixsim.show.render import PAGE
-from pixsim.show.sentences import rounded, span
 from pixsim.studies.files import settings_text
 from pixsim.studies.merit import NEQ, LightLevel, extent, neq_against_frequency, quanta_of_run
 from pixsim.studies.run import Irradiance, LitRun, RunResult, repeating_settings, whole_source, write_irradiance, write_numbers

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pixsim.base.arrays import Array
+from pixsim.base.tables import Column
 from pixsim.base.toml import SETTINGS_FILE
 from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.paper import PAPER_PLATES, map_plates, numbered, scene_plates
@@ -39,7 +40,7 @@ from pixsim.show.document import (
     pairs,
 )
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_figure, own_style
-from pixsim.show.pages import Column, Drawn, Figures, Plate, figure_files
+from pixsim.show.pages import Drawn, Figures, Plate, figure_files
 from pixsim.show.pictures import scale
 from pixsim.show.render import lines
 from pixsim.show.sentences import capital

@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from pixsim.base.digits import interval
 from pixsim.show.document import Answer, Strong, joined
-from pixsim.show.sentences import interval
 from pixsim.studies.merit import detail_terms
 from pixsim.studies.regret import Regrets, weighted_criterion
 

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base.arrays import MEASURED, PARTS, Array, spread_parts, strips
+from pixsim.base.digits import told_apart
 from pixsim.base.mapped import is_mapped, release, zeros
-from pixsim.base.notes import told_apart, warn
+from pixsim.base.notes import warn
 from pixsim.base.progress import Progress
 from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage

@@ -22,20 +22,20 @@ import numpy as np
 
 from pixsim.base.arguments import Count, Jobs, checks_arguments
 from pixsim.base.arrays import Array
+from pixsim.base.digits import span, with_error
 from pixsim.base.errors import invalid
 from pixsim.base.files import output_folder, version_of_files
 from pixsim.base.layers import listed
 from pixsim.base.notes import collected_notes, warn, without_warnings
 from pixsim.base.progress import Progress, Stage, no_stage
 from pixsim.base.schema import check_not_newer
+from pixsim.base.tables import rows_csv
 from pixsim.base.version import VERSION
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.plan import Plan
 from pixsim.sensor.pixel_options import BORDER_PIXELS
 from pixsim.show.document import Answer, Block, DocumentTable, Listed, Strong, plain_text
-from pixsim.show.pages import rows_csv
 from pixsim.show.render import notebook
-from pixsim.show.sentences import span, with_error
 from pixsim.studies.comparison import ComparedSensor, Comparison
 from pixsim.studies.design import Case, check_number, named, warn_of_reviews
 from pixsim.studies.engine import Workers, workers_for

@@ -12,6 +12,7 @@ import numpy as np
 
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
+from pixsim.base.digits import with_error
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.sensor.labels import label_of
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
@@ -19,7 +20,6 @@ from pixsim.sensor.stages import stage_words
 from pixsim.show.document import Answer, Block, DocumentTable, Fact, Listed, Strong, headline, joined, plain_text
 from pixsim.show.figures import literal, new_figure, own_style
 from pixsim.show.render import cell_of
-from pixsim.show.sentences import with_error
 from pixsim.studies.design import BASE, Case
 from pixsim.studies.film_error import FilmSteps
 from pixsim.studies.lights import Light

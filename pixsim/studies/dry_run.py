@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+from pixsim.base.digits import duration
 from pixsim.base.machine import processors
 from pixsim.base.mapped import MOST_BYTES
 from pixsim.optics.camera import Camera
 from pixsim.scene.film import PROGRAM_BYTES, film_bytes, film_memory_bytes
 from pixsim.scene.plan import Plan
 from pixsim.sensor.integration import pixels_on
-from pixsim.show.sentences import duration
 from pixsim.studies.design import FrameCost, frame_cost, light_hash, metrics_of, study_pitches_um
 from pixsim.studies.engine import BASE_BYTES, jobs_in_memory, workers_here
 from pixsim.studies.film_error import film_error, samples_per_dot

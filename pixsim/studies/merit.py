@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pixsim.base.arrays import Array
+from pixsim.base.digits import span
+from pixsim.base.tables import Column
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.optics.stack import aperture_side_um
@@ -21,8 +23,7 @@ from pixsim.sensor.noise import signal_at_snr_e, variance_e2
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.reading import Readout
 from pixsim.show.figures import LOOKS, new_figure, own_style
-from pixsim.show.pages import Column, Plate
-from pixsim.show.sentences import span
+from pixsim.show.pages import Plate
 from pixsim.studies.settings import Study, paths_of
 from pixsim.viewer.chain import ExpectedFrame, make_chain
 from pixsim.viewer.display import picture_size_um, white_light

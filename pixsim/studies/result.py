@@ -14,8 +14,10 @@ import numpy as np
 
 from pixsim.base.arguments import Count, checks_arguments, checks_fields
 from pixsim.base.arrays import Array
+from pixsim.base.digits import span, told_apart
 from pixsim.base.errors import invalid
-from pixsim.base.notes import told_apart
+from pixsim.base.notes import few
+from pixsim.base.tables import Column
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.sensor.collection import least_fresnel_number
@@ -25,9 +27,9 @@ from pixsim.sensor.pixel import PixelPhysics, has_microlens, smallest_pitch_um
 from pixsim.sensor.quantities import Pitch
 from pixsim.sensor.technology import Technology, with_fill_factor_law
 from pixsim.show.figures import LOOKS, Look, literal, new_figure, own_style
-from pixsim.show.pages import Column, Plate
+from pixsim.show.pages import Plate
 from pixsim.show.render import cell_of
-from pixsim.show.sentences import few, sentence, settings_line, span
+from pixsim.show.sentences import sentence, settings_line
 from pixsim.studies.curve import Curve, shown_mean_and_ci95
 from pixsim.studies.design import BASE, REPEATS_PER_TASK, Case, imaging_of, largest_lens_um, physics_of, technology_of
 from pixsim.studies.evaluate import Counts, LitCase, frames_of, lit_cases, task_of

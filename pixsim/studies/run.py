@@ -23,6 +23,7 @@ from pixsim.base.caller import parameter, setting
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import collected_notes, warn, without_warnings
 from pixsim.base.progress import Progress, Stage, no_stage, share_of, watched
+from pixsim.base.tables import plain
 from pixsim.light.exr import reduced_to_fit, write_channels, write_exr
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
@@ -37,7 +38,6 @@ from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
 from pixsim.sensor.readout import Frame
 from pixsim.show.document import pairs, plain_text
-from pixsim.show.pages import plain
 from pixsim.show.render import cell_of
 from pixsim.studies.design import Case, metrics_of
 from pixsim.studies.engine import Workers

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixsim.base.caller import setting
+from pixsim.base.digits import interval, rounded, told_apart, with_ends, with_error
 from pixsim.base.headline import NOT_CONVERGED
-from pixsim.base.notes import told_apart
+from pixsim.base.notes import few
 from pixsim.optics.camera import Camera
 from pixsim.scene.convergence import RENDER_NOISE, what_reaches
 from pixsim.sensor.stages import stage_words
 from pixsim.show.document import Answer, Block, DocumentTable, Fact, Strong, Text, has_room, headline, joined, plain_text
-from pixsim.show.sentences import few, interval, rounded, with_ends, with_error
 from pixsim.studies.film_error import FilmError, light_error_and_limit
 from pixsim.studies.merit import columns_on, moved_view, stated_end_lp_per_mm
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E

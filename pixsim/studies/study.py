@@ -19,7 +19,7 @@ from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import output_folder
 from pixsim.base.layers import listed
-from pixsim.base.notes import collected_notes, warn
+from pixsim.base.notes import collected_notes, few, warn
 from pixsim.base.progress import Progress, Stage, no_stage
 from pixsim.base.records import content_hash
 from pixsim.base.toml import SETTINGS_FILE
@@ -27,7 +27,6 @@ from pixsim.light.spectral import DIGEST, SpectralImage
 from pixsim.light.stored import PictureFile
 from pixsim.scene.packaged import packaged_scenes
 from pixsim.sensor.labels import label_of
-from pixsim.show.sentences import few
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, reference_rows, scaling_rows
 from pixsim.studies.curve import Curve, DisplayOptimum, Rounds, curve_of, on_first_display
 from pixsim.studies.design import Case, Sizes, check_number, metrics_of, of_technology, study_pitches_um, warn_of_reviews

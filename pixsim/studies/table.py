@@ -28,8 +28,8 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import digest_of, kind_of, opened, replacing, version_of_files
 from pixsim.base.notes import warn
 from pixsim.base.schema import KEY, SCHEMA, of_another
+from pixsim.base.tables import csv_text
 from pixsim.base.version import VERSION
-from pixsim.show.pages import csv_text
 from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, PIXEL_STATISTICS, ROUNDING, Metric, columns_of_metrics, columns_with_numbers
 
 if TYPE_CHECKING:
@@ -142,7 +142,7 @@ class Table(Sequence[dict[str, Any]]):
     @checks_arguments
     def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
         """Return the rows as CSV, and write it to `path` if given."""
-        from pixsim.show.pages import csv_text
+        from pixsim.base.tables import csv_text
 
         rows = iter(self)
         first = next(rows, {})
@@ -150,7 +150,7 @@ class Table(Sequence[dict[str, Any]]):
 
     def to_dataframe(self) -> DataFrame:
         """Return the rows as a pandas.DataFrame. Raises PixsimError without pandas."""
-        from pixsim.show.pages import dataframe_of
+        from pixsim.base.tables import dataframe_of
 
         return dataframe_of(list(self))
 

@@ -517,7 +517,7 @@ class Probability:
         return cls(k / n, low, high, n)
 
     def __str__(self) -> str:
-        from pixsim.show.sentences import with_ends
+        from pixsim.base.digits import with_ends
 
         return with_ends(self.probability, (self.low, self.high), ".2f")
 
@@ -624,7 +624,7 @@ class UncertaintyResult:
 
     def to_csv(self) -> str:
         """Return a row for each sensor type as CSV: its inputs, its results, and its verdicts. An open end is an empty cell."""
-        from pixsim.show.pages import columns_of, table_csv
+        from pixsim.base.tables import columns_of, table_csv
 
         results = self.table | self.holds
         columns = {name: ["" if value != value else value for value in values.tolist()] for name, values in results.items()}

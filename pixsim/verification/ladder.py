@@ -14,11 +14,12 @@ from pixsim.base.arguments import Whole, checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.notes import without_warnings
 from pixsim.base.progress import Progress, Stage, no_stage
+from pixsim.base.tables import plain, rows_csv
 from pixsim.scene.film import fitting_width, largest_film
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.motion_options import STILL
 from pixsim.show.document import plain_text
-from pixsim.show.pages import Figures, plain, rows_csv
+from pixsim.show.pages import Figures
 from pixsim.show.render import notebook, write
 from pixsim.studies.design import Case
 from pixsim.studies.film_error import chains_of_film, light_error_and_limit, measure_film, score_with, standard_noise_of

@@ -9,6 +9,8 @@ from itertools import groupby
 from operator import attrgetter
 from typing import TYPE_CHECKING
 
+from pixsim.base.digits import number
+from pixsim.base.tables import Column, plain, rows_csv
 from pixsim.show.document import (
     Answer,
     Block,
@@ -24,8 +26,7 @@ from pixsim.show.document import (
     made_with,
 )
 from pixsim.show.figures import LOOKS, new_figure, own_style, plain_powers
-from pixsim.show.pages import Column, Plate, figure_files, plain, rows_csv
-from pixsim.show.sentences import number
+from pixsim.show.pages import Plate, figure_files
 from pixsim.viewer.score import shown_mean
 
 if TYPE_CHECKING:

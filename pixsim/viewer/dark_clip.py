@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from scipy.special import gammaincinv, gammaln, ndtr, ndtri
 
+from pixsim.base.digits import rounded
 from pixsim.sensor.code_moments import moments_of_codes
 from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import MAX_BLACK, dark_spread_e, least_black_level_dn
-from pixsim.show.sentences import rounded
 from pixsim.viewer.scielab import xyz_to_lab
 
 DARK_NODES = 64  # of equal weight, for the ordinary pixels and for the hot ones

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from pixsim.base.notes import warn
+from pixsim.base.notes import few, warn
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.sensor.infrared import pixel_notes
-from pixsim.show.sentences import few
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.metric_options import OF_TARGETS, has_target
 from pixsim.viewer.scene_light import SceneLight

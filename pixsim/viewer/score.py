@@ -3,35 +3,25 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from pixsim.base.arguments import Bounds, NotNegative, checks_arguments, checks_fields
+from pixsim.base.arguments import Bounds, NotNegative, checks_fields
 from pixsim.base.arrays import Array
+from pixsim.base.digits import told_apart, with_error
 from pixsim.base.errors import invalid
 from pixsim.base.headline import NOT_CONVERGED
-from pixsim.base.notes import told_apart
+from pixsim.base.result import Result
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import Frame
-from pixsim.show.document import pairs
-from pixsim.show.figures import new_figure, own_style
-from pixsim.show.pages import rows_csv
-from pixsim.show.pictures import VIEWING_GAMMA, scale_end
-from pixsim.show.render import cell_of
-from pixsim.show.sentences import sentence, settings_line, with_error
-from pixsim.viewer.delta_e_statistics import COLUMNS, delta_e_statistics, percentiles
+from pixsim.viewer.delta_e_statistics import COLUMNS, delta_e_statistics
 from pixsim.viewer.display_options import Display
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 FloatOrNaN = Annotated[float, Bounds(unknown=True)]
-PANEL_IN = 3.1  # width of each picture of a figure
 NOTHING = "the frame tells nothing"
 
 
@@ -79,7 +69,7 @@ ERROR_WORDS = {"film_delta_e": "the film's error", "noise_delta_e": "the error b
 
 @checks_fields
 @dataclass(frozen=True)
-class Score:
+class Score(Result):
     """A picture as shown to a viewer, and its difference from the ideal one, by S-CIELAB and by further metrics.
 
     delta_e : (H, W) S-CIELAB difference on the display's dots, in the precision in which it was computed
@@ -115,30 +105,6 @@ class Score:
     def statistics(self) -> dict[str, float]:
         """Return the numbers of a row, with the unit in each name."""
         return dict(zip(COLUMNS, delta_e_statistics(self.delta_e), strict=True)) | self.further
-
-    @own_style()
-    def plot(self) -> Figure:
-        """Return a Matplotlib figure of the ideal image, the sensor's image and the ΔE map with its scale."""
-        figure = new_figure(3 * PANEL_IN + 0.6, PANEL_IN + 0.3)
-        axes = figure.subplots(1, 3, sharex=True, sharey=True)
-        for panel, picture, title in zip(axes, (self.ideal, self.image), ("ideal", "sensor"), strict=False):
-            panel.imshow(np.clip(picture, 0, 1) ** (1 / VIEWING_GAMMA), cmap="gray", vmin=0, vmax=1, interpolation="nearest")
-            panel.set_title(title)
-        end = scale_end(*percentiles(self.delta_e, (99,)))
-        delta_e_map = axes[2].imshow(self.delta_e, cmap="viridis", vmin=0, vmax=end, interpolation="nearest")
-        axes[2].set_title(f"S-CIELAB ΔE, mean {self.mean_delta_e:.3f}")
-        figure.colorbar(delta_e_map, ax=axes[2], label="ΔE", extend="max", shrink=0.85)
-        for panel in axes:
-            panel.set_xlabel("display dots")
-        return figure
-
-    @checks_arguments
-    def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
-        """Return `statistics` as CSV, and write it to `path` if given."""
-        return rows_csv([self.statistics()], path)
-
-    def _repr_html_(self) -> str:
-        return cell_of(f"mean ΔE {self.mean_delta_e:.3f}", self.plot(), pairs("statistics", self.statistics(), ".6g"))
 
     def __repr__(self) -> str:
         return f"<Score mean ΔE {self.mean_delta_e:.4f}, {' × '.join(map(str, self.delta_e.shape))} dots>"
@@ -180,24 +146,9 @@ class FrameScore(Score):
         """Return the numbers of score.json, with the unit in each name."""
         return frame_statistics(self.readout, self.frame) | super().statistics() | self.gamut
 
-    def _repr_html_(self) -> str:
-        title = f"{self.physics.pitch_um:g} µm pixels, {self._mean_words}"
-        given = self.physics.pixel.model_dump(exclude_unset=True, exclude_none=True)
-        notes = [
-            "One frame of one sensor: how much others differ is told by pixsim.study, whose means have 95 % intervals.",
-            "The errors of a scene's light, by its film and by render noise, are measured by pixsim.run and pixsim.study.",
-            f"Pixel: {settings_line(given)}; all else is the default.",
-            *(sentence(str(cause)) for cause in self.causes),
-            *(sentence(f"{NOT_CONVERGED}: {words}") for _, words in unmet(self.light, self.light_limit)),
-        ]
-        return cell_of(title, self.plot(), pairs("statistics", self.statistics(), ".6g"), *notes)
-
     def __repr__(self) -> str:
-        return f"<Score {self._mean_words}, {self.physics.pitch_um:g} µm pixels, {1e3 * self.frame.integration_s:.3g} ms>"
-
-    @property
-    def _mean_words(self) -> str:
-        return f"mean ΔE {shown_mean(self.mean_delta_e, self.light, self.light_limit, self.causes)}"
+        mean = shown_mean(self.mean_delta_e, self.light, self.light_limit, self.causes)
+        return f"<Score mean ΔE {mean}, {self.physics.pitch_um:g} µm pixels, {1e3 * self.frame.integration_s:.3g} ms>"
 
 
 def frame_statistics(readout: Readout, frame: Frame) -> dict[str, float]:

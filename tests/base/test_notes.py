@@ -10,7 +10,8 @@ from typing import Literal
 import pytest
 from hypothesis import given, strategies as st
 
-from pixsim.base.notes import MachineWarning, collected_notes, told_apart
+from pixsim.base.digits import told_apart
+from pixsim.base.notes import MachineWarning, collected_notes
 
 
 def tell(text: str = "told", category: type[Warning] = UserWarning) -> None:

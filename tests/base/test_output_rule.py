@@ -15,12 +15,12 @@ from helpers.commands import assert_refused, command
 from pixsim.base.errors import PixsimError
 from pixsim.base.files import PROVENANCE, check_replaceable, output_folder, publishing, write_new
 from pixsim.base.locks import LOCK
+from pixsim.base.tables import rows_csv
 from pixsim.light.exr import write_exr
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.exchange import write_npz
 from pixsim.scene.charts import write_chart
 from pixsim.sensor.raw import RawFrame, write_frame
-from pixsim.show.pages import rows_csv
 from pixsim.studies.table import Store, check_replaceable_results
 
 LIGHT = SpectralImage([550.0], 10.0, 5.0, data=np.full((2, 3, 1), 1e-3))

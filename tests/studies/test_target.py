@@ -16,7 +16,7 @@ from helpers.dense_curves import SimulatedStudy, simulated, truth_of
 from helpers.tiny import keys, tiny as tiny_study, tiny_toml
 
 import pixsim
-from pixsim.base.notes import told_apart
+from pixsim.base.digits import told_apart
 from pixsim.sensor.readout import Frame
 from pixsim.studies.curve import (
     BEYOND,

@@ -11,8 +11,8 @@ from helpers.tiny import tiny
 
 import pixsim
 from pixsim.base.caller import command_line
+from pixsim.base.digits import with_error
 from pixsim.show.document import plain_text
-from pixsim.show.sentences import with_error
 from pixsim.studies.film_error import FilmError
 from pixsim.studies.result import StudyResult
 from pixsim.studies.run import RunResult

@@ -1,0 +1,63 @@
+"""The base of all results: data which `report/` plots, writes and shows when it is asked to."""
+
+from __future__ import annotations
+
+import os
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from pixsim.base.tables import write_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+class Result:
+    """A result: data with a figure, a table, a page and a cell of a notebook.
+
+    The module that presents a type of results stands in `pixsim.PRESENTERS`; it is imported when it is first asked.
+    """
+
+    __slots__ = ()
+
+    def plot(self) -> Figure:
+        """Return a Matplotlib figure of the result."""
+        figure: Figure = _presenter(self).plot(self)
+        return figure
+
+    def write(self, folder: str | os.PathLike[str], figures: Literal["svg", "pdf"] = "svg") -> Path:
+        """Write report.html and the other files of the result.
+
+        folder : created if missing
+        figures : "pdf" writes a PDF beside each SVG
+
+        Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
+        pixsim did not write.
+        """
+        page: Path = _presenter(self).write(self, folder, figures)
+        return page
+
+    def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
+        """Return the numbers of the result as CSV, and write them to `path` if given.
+
+        Raises PixsimError if `path` cannot be written.
+        """
+        text: str = _presenter(self).csv(self)
+        if path is not None:
+            write_text(Path(path), text)
+        return text
+
+    def _repr_html_(self) -> str:
+        cell: str = _presenter(self).cell(self)
+        return cell
+
+
+def _presenter(result: Result) -> Any:
+    """Return the `pixsim.show.presenter.Presenter` of a type of results."""
+    import pixsim
+
+    for kind in type(result).__mro__:
+        if kind.__name__ in pixsim.PRESENTERS:
+            return import_module(f"pixsim.{pixsim.PRESENTERS[kind.__name__]}").PRESENTER
+    raise LookupError(f"{type(result).__name__}, which pixsim.PRESENTERS does not name")

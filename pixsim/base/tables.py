@@ -1,0 +1,63 @@
+"""Tables as CSV, and for JSON and pandas."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pixsim.base.errors import invalid
+from pixsim.base.files import replacing
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+Column = Sequence[float | str]
+
+
+def columns_of(rows: Sequence[Mapping[str, float | str | None]]) -> dict[str, Column]:
+    """Return rows with the same names as a table, with empty cells for None."""
+    return {name: [cell if (cell := row[name]) is not None else "" for row in rows] for name in (rows[0] if rows else ())}
+
+
+def table_csv(table: dict[str, Column], path: str | os.PathLike[str] | None = None) -> str:
+    """Return a table as CSV text, and write it to `path` if given."""
+    return csv_text([table, *zip(*table.values(), strict=True)], path)
+
+
+def csv_text(lines: Iterable[Iterable[Any]], path: str | os.PathLike[str] | None = None) -> str:
+    """Return the lines of a table, the column names first, as CSV with numbers in full precision; write it to `path` if given."""
+    stream = io.StringIO(newline="")
+    csv.writer(stream).writerows(lines)
+    text = stream.getvalue()
+    if path is not None:
+        write_text(Path(path), text)
+    return text
+
+
+def rows_csv(rows: Sequence[dict[str, Any]], path: str | os.PathLike[str] | None = None) -> str:
+    """Return rows with the same keys as CSV, and write it to `path` if given."""
+    return csv_text([*rows[:1], *(row.values() for row in rows)], path)
+
+
+def dataframe_of(table: str | Sequence[Mapping[str, Any]]) -> DataFrame:
+    """Return CSV text, or rows, as a pandas.DataFrame. Raises PixsimError without pandas."""
+    try:
+        import pandas as pd
+    except ImportError:
+        raise invalid("to_dataframe", "no pandas", "pip install pandas, or to_csv(), which pandas reads elsewhere") from None
+    return pd.read_csv(io.StringIO(table)) if isinstance(table, str) else pd.DataFrame(list(table))
+
+
+def plain(values: dict[str, Any]) -> dict[str, Any]:
+    """Return values for JSON: NaN and infinity become None."""
+    return {key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in values.items()}
+
+
+def write_text(path: Path, text: str) -> None:
+    with replacing(path) as partial:
+        partial.write_text(text, encoding="utf-8", newline="")
