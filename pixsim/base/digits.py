@@ -39,13 +39,13 @@ def duration(seconds: float) -> str:
     return f"{rounded(seconds / size_s)} {unit}"
 
 
-def interval(ends_um: tuple[float | None, float | None]) -> str:
+def interval(ends: tuple[float | None, float | None]) -> str:
     """Return an interval of pixel sizes, of which each end may be open.
 
     >>> interval((2.5, 3.0)), interval((None, 3.0)), interval((2.5, None))
     ('2.50 to 3.00 µm', 'below 3.00 µm', 'above 2.50 µm')
     """
-    low, high = ends_um
+    low, high = ends
     if low is None:
         return "no limit among the sizes tried" if high is None else f"below {high:.2f} µm"
     return f"above {low:.2f} µm" if high is None else f"{low:.2f} to {high:.2f} µm"

@@ -6,12 +6,12 @@ import numpy as np
 
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.tables import rows_csv
-from pixsim.show.document import Answer, Document, Fact, Plot, Section, pairs
+from pixsim.show.document import Answer, Document, Plot, Section, pairs
 from pixsim.show.figures import new_figure, own_style
 from pixsim.show.pages import Plate, coarse_table
 from pixsim.show.pictures import VIEWING_GAMMA, light_png, scale_end
 from pixsim.show.presenter import Presenter
-from pixsim.show.sentences import settings_line
+from pixsim.show.sentences import sentence, settings_line
 from pixsim.viewer.delta_e_statistics import percentiles
 from pixsim.viewer.score import FrameScore, Score, shown_mean, unmet
 
@@ -53,7 +53,7 @@ def score_document(score: Score) -> Document:
         title="Score",
         data=statistics,
         answers=(Answer(_headline(score)),),
-        lead=(Plot(lambda: score_plate(score)), *_facts(score)),
+        lead=(Plot(lambda: score_plate(score)), *_sentences(score)),
         sections=(Section("statistics", "Statistics", (pairs("statistics", statistics, ".6g"),), brief=True),),
         files=files,
         data_file="score.json",
@@ -67,7 +67,7 @@ def _headline(score: Score) -> str:
     return f"{score.physics.pitch_um:g} µm pixels, mean ΔE {mean}"
 
 
-def _facts(score: Score) -> list[Fact]:
+def _sentences(score: Score) -> list[str]:
     """Return what a reader should know of the score of a frame; nothing of other pictures."""
     if not isinstance(score, FrameScore):
         return []
@@ -79,7 +79,7 @@ def _facts(score: Score) -> list[Fact]:
         *map(str, score.causes),
         *(f"{NOT_CONVERGED}: {words}" for _, words in unmet(score.light, score.light_limit)),
     ]
-    return [Fact(text) for text in texts]
+    return [sentence(text) for text in texts]
 
 
 PRESENTER = Presenter(document=score_document, figure=score_plate, csv=score_csv)
