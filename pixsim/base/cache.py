@@ -1,27 +1,29 @@
 """Cache of computed results in the user's cache folder; the file name of an entry is the hash of all its inputs.
 
-An entry is JSON (numbers), .npz (arrays with CRC) or an EXR (a texture). It begins with a label of its kind and key: what has
-another label, or lies behind a link, is not read, and never removed. Entries are written atomically, so that processes and users
-can share the folder. Damaged entries are detected and computed again. Above its size limit the cache removes the least recently
-used entries.
+An entry is JSON (numbers), .npz (arrays) or an EXR (a texture). It begins with a label of its kind and key: what has another
+label, or lies behind a link, is not read, and never removed. Entries are written atomically, so that processes and users can share
+the folder. Each entry has a digest of its content: what was changed is computed again, never believed. Above its size limit the
+cache removes the least recently used entries.
 
 Compiled kernels are code. Their folder is used only if nobody else can write there.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import platform
 import re
 import stat
+import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from hashlib import blake2b
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import IO, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,9 +46,11 @@ MAX_SHARE = 0.25  # of the limit, for one entry: a larger one would displace all
 TRIM_SHARE = 1 / 16  # of the limit: a process that has written this much trims the cache
 # Folders that Mitsuba and Matplotlib manage themselves, and the names of their files there.
 HELPERS = {"kernels": re.compile(r"[0-9a-f]{32}\.[\w.]+"), "matplotlib": re.compile(r"fontlist-v[\w.]+\.json")}
-ENTRY, VALUE = "entry", "value"  # in the order of an entry: its label and content
-NAMES = "names"  # name of the array that lists all arrays of an entry
+ENTRY = "entry"  # the name of an entry's label
+DIGEST_BYTES = 16
+VALUE = ', "value": '  # before the content of a JSON entry
 STARTS = {".json": b'{"entry": "', ".npz": b"PK\3\4", ".exr": b"\x76\x2f\x31\x01"}
+BLOCK_BYTES = 1 << 20  # of a file that is read at once
 HEAD_BYTES = 4096  # of a file, in which the label is looked for
 SOURCE_SUFFIXES = (".py", ".csv", ".toml")  # formulas, spectra, technologies
 MAX_JSON = 1 << 26  # bytes
@@ -110,17 +114,25 @@ def value_of(kind: str, key: str, read: Callable[[Json], Result]) -> Result | No
     path = folder() / kind / f"{key}.json"
 
     def content() -> Result:
-        entry = json.loads(read_text(path, "cache entry", "JSON", MAX_JSON))
-        _check(path, entry[ENTRY])
-        return read(entry[VALUE])
+        text = read_text(path, "cache entry", "JSON", MAX_JSON)
+        value = text.partition(VALUE)[2].removesuffix("}")
+        if text != _json_entry(kind, key, value):
+            raise ValueError("it is not what was stored")
+        return read(json.loads(value))
 
     return _load(path, content)
 
 
 def store_value(kind: str, key: str, value: Json) -> None:
     """Store the JSON entry of a key. Warns if the folder cannot be written."""
-    text = json.dumps({ENTRY: entry_label(kind, key), VALUE: value}, sort_keys=True)
+    text = _json_entry(kind, key, json.dumps(value, sort_keys=True))
     _store(folder() / kind / f"{key}.json", lambda partial: partial.write_text(text, encoding="utf-8"), len(text))
+
+
+def _json_entry(kind: str, key: str, value: str) -> str:
+    """The text of a JSON entry: its label, the digest of its value, and the value."""
+    digest = blake2b(value.encode(), digest_size=DIGEST_BYTES).hexdigest()
+    return f'{{"{ENTRY}": "{entry_label(kind, key)}", "digest": "{digest}"{VALUE}{value}}}'
 
 
 def arrays(kind: str, key: str) -> Arrays | None:
@@ -128,9 +140,10 @@ def arrays(kind: str, key: str) -> Arrays | None:
     path = folder() / kind / f"{key}.npz"
 
     def read() -> Arrays:
+        with path.open("rb") as file:
+            if _digest_before_end(file) != file.read():
+                raise ValueError("it is not what was stored")
         content = read_arrays(path, "cache entry", "arrays")
-        if sorted(content) != content.pop(NAMES).tolist():  # a damaged zip directory may hide an array
-            raise ValueError("an array is missing")
         _check(path, content.pop(ENTRY).item().decode())
         return content
 
@@ -140,19 +153,52 @@ def arrays(kind: str, key: str) -> Arrays | None:
 def store_arrays(kind: str, key: str, content: Arrays) -> None:
     """Store the arrays of a key unless they are too large for one entry. Warns if the folder cannot be written."""
     label = np.array(entry_label(kind, key).encode())  # the first array, so that the file begins with it
-    named: dict[str, Any] = {ENTRY: label, **content, NAMES: np.array(sorted([ENTRY, *content, NAMES]))}
+    named: dict[str, Any] = {ENTRY: label, **content}
 
     def write(partial: Path) -> None:
         with partial.open("wb") as file:  # np.savez would append .npz to a name
             np.savez(file, **named)
+        with zipfile.ZipFile(partial, "a") as archive:  # the digest of all before it is the comment, at the end of the file
+            archive.comment = bytes(2 * DIGEST_BYTES)
+        with partial.open("r+b") as file:
+            file.write(_digest_before_end(file))
 
     _store(folder() / kind / f"{key}.npz", write, sum(array.nbytes for array in content.values()))
+
+
+def _digest_before_end(file: IO[bytes]) -> bytes:
+    """The digest of a file but for its last bytes, where the digest is, in hexadecimal; the file is left at that place."""
+    digest = blake2b(digest_size=DIGEST_BYTES)
+    left_bytes = file.seek(0, os.SEEK_END) - 2 * DIGEST_BYTES
+    file.seek(0)
+    while left_bytes > 0 and (block := file.read(min(left_bytes, BLOCK_BYTES))):
+        digest.update(block)
+        left_bytes -= len(block)
+    return digest.hexdigest().encode()
 
 
 def forget(kind: str, key: str) -> None:
     """Remove the JSON entry of a key, if there is one."""
     with suppress(OSError):
         (folder() / kind / f"{key}.json").unlink()
+
+
+def store_digest_of(path: Path) -> None:
+    """Store the digest of an entry that another library wrote and reads, such as a texture, as a JSON entry of the same key."""
+    store_value(path.parent.name, path.stem, {"digest": _digest_of_file(path)})
+
+
+def is_unchanged_file(path: Path) -> bool:
+    """Whether a file is an entry, and what it holds is what was stored."""
+    if not is_entry(path):
+        return False
+    stored = value_of(path.parent.name, path.stem, lambda value: str(value["digest"]))
+    return stored is not None and stored == _digest_of_file(path)
+
+
+def _digest_of_file(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def has_room(size_bytes: int) -> bool:

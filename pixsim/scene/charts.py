@@ -241,13 +241,14 @@ def texture_file(content: object, make: Callable[[], NDArray[np.float32]]) -> Pa
     path, label = cache.folder() / KIND / f"{key}.exr", {cache.ENTRY: cache.entry_label(KIND, key)}
     if not (cache.is_entry(path) or cache.can_hold(KIND)):
         path = temporary_folder_of_process() / path.name
-    if cache.is_entry(path) or (path.parent.name != KIND and path.is_file()):
+    if cache.is_unchanged_file(path) or (path.parent.name != KIND and path.is_file()):
         with suppress(OSError):  # a read-only cache works too
             os.utime(path, follow_symlinks=False)
     else:
         texels = make()
         try:
             write_channels(path, {"Y": texels}, label, named=False)
+            cache.store_digest_of(path)
         except PixsimError:  # the disk of the cache is full
             path = temporary_folder_of_process() / path.name
             write_channels(path, {"Y": texels}, label)
