@@ -8,14 +8,14 @@ from contextlib import chdir, suppress
 from importlib.util import LazyLoader, find_spec, module_from_spec
 from typing import Any
 
-import numpy as np
-
 
 def load_when_used(*names: str) -> None:
     """Put modules of NumPy in place that are loaded when one of their attributes is used, unless they are loaded already.
 
     SciPy copies NumPy's whole namespace, which would load all of them.
     """
+    import numpy as np  # here: the help of a command needs none
+
     for name in names:
         full = f"numpy.{name}"
         if full in sys.modules or not (spec := find_spec(full)) or not spec.loader:

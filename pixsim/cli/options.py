@@ -48,6 +48,7 @@ app = App(
     version=VERSION,
     help="From a Mitsuba 3 scene to the pixel size with the least visible error.",
     help_flags=[*HELP, HELP_ALL],
+    help_format="plaintext",  # Markdown would import a parser, and color the code in backticks only
     default_parameter=Parameter(negative=()),
     help_epilogue=(
         "Every command takes --quiet (no progress, no warnings), --verbose (times of the stages, tracebacks of errors) "
