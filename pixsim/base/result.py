@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from pixsim.base.arguments import checks_arguments
 from pixsim.base.tables import write_text
 
 if TYPE_CHECKING:
@@ -26,18 +28,30 @@ class Result:
         figure: Figure = _presenter(self).plot(self)
         return figure
 
-    def write(self, folder: str | os.PathLike[str], figures: Literal["svg", "pdf"] = "svg") -> Path:
+    @checks_arguments
+    def write(
+        self,
+        folder: str | os.PathLike[str],
+        figures: Literal["svg", "pdf"] = "svg",
+        seconds: Mapping[str, float] | None = None,
+    ) -> Path:
         """Write report.html and the other files of the result.
 
         folder : created if missing
         figures : "pdf" writes a PDF beside each SVG
+        seconds : stage -> wall time in s, for the page and provenance.json
 
         Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
-        pixsim did not write.
+        pixsim did not write; and for "pdf" of a result without figures.
         """
-        page: Path = _presenter(self).write(self, folder, figures)
+        page: Path = _presenter(self).write(self, folder, figures, seconds)
         return page
 
+    def as_dict(self) -> dict[str, Any]:
+        """Return the numbers of the result as in summary.json, and as `--json` prints them."""
+        return dict(_presenter(self).document(self).data)
+
+    @checks_arguments
     def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
         """Return the numbers of the result as CSV, and write them to `path` if given.
 

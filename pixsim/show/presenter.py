@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pixsim.base.errors import invalid
+from pixsim.base.files import output_folder
 from pixsim.show.document import Document
 from pixsim.show.pages import Figures, Plate
 from pixsim.show.render import notebook, write
@@ -17,25 +19,53 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
+class PageRequest:
+    """How the page of a result is written.
+
+    folder : that will hold it
+    figures : "pdf" writes a PDF beside each SVG
+    seconds : stage -> wall time in s
+    """
+
+    folder: Path
+    figures: Figures
+    seconds: Mapping[str, float]
+
+
+@dataclass(frozen=True)
 class Presenter:
     """Functions of a result of one type.
 
-    document : its page and all other files
+    document : what a terminal, JSON and a notebook show; and its page with all other files, unless `page` makes these
     figure : the figure that answers what was asked
     csv : its numbers as CSV
+    page : the document of its page, where that takes longer than `document` or depends on how it is written
     """
 
     document: Callable[[Any], Document]
     figure: Callable[[Any], Plate]
     csv: Callable[[Any], str]
+    page: Callable[[Any, PageRequest], Document] | None = None
 
     def plot(self, result: object) -> Figure:
         """Return the figure of a result."""
         return self.figure(result).figure
 
-    def write(self, result: object, folder: str | os.PathLike[str], figures: Figures = "svg") -> Path:
-        """Write the files of a result, and return the path of its page."""
-        return write(self.document(result), Path(folder), {}, figures)
+    def write(
+        self,
+        result: object,
+        folder: str | os.PathLike[str],
+        figures: Figures = "svg",
+        seconds: Mapping[str, float] | None = None,
+    ) -> Path:
+        """Write the files of a result, and return the path of its page; the arguments are those of `Result.write`."""
+        request = PageRequest(Path(folder), figures, seconds or {})
+        with output_folder(folder):  # one that cannot be written fails before figures are drawn
+            document = self.document(result) if self.page is None else self.page(result, request)
+            if figures != "svg" and not document.plots:
+                got = f"'{figures}' for a {type(result).__name__}"
+                raise invalid("figures", got, "'svg', since it has pictures and no figures")
+            return write(document, request.folder, {"seconds": dict(seconds)} if seconds else {}, figures)
 
     def cell(self, result: object) -> str:
         """Return the cell of a notebook."""
