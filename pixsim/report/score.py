@@ -7,8 +7,8 @@ import numpy as np
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.tables import rows_csv
 from pixsim.show.document import Answer, Document, Plot, Section, pairs
-from pixsim.show.figures import new_figure, own_style
-from pixsim.show.pages import Plate, coarse_table
+from pixsim.show.figures import new_figure
+from pixsim.show.pages import Drawing, coarse_table, figure
 from pixsim.show.pictures import VIEWING_GAMMA, light_png, scale_end
 from pixsim.show.presenter import Presenter
 from pixsim.show.sentences import sentence, settings_line
@@ -18,9 +18,9 @@ from pixsim.viewer.score import FrameScore, Score, shown_mean, unmet
 PANEL_IN = 3.1  # width of each picture of the figure
 
 
-@own_style()
-def score_plate(score: Score) -> Plate:
-    """Return the figure of the ideal image, the sensor's image and the ΔE map with its scale."""
+@figure("delta_e", "The ideal image, the sensor's image, and their difference. The table holds block means of the map.")
+def score_plate(score: Score) -> Drawing:
+    """Draw the ideal image, the sensor's image and the ΔE map with its scale."""
     figure = new_figure(3 * PANEL_IN + 0.6, PANEL_IN + 0.3)
     axes = figure.subplots(1, 3, sharex=True, sharey=True)
     for panel, picture, title in zip(axes, (score.ideal, score.image), ("ideal", "sensor"), strict=False):
@@ -34,8 +34,7 @@ def score_plate(score: Score) -> Plate:
     for panel in axes:
         panel.set_xlabel("display dots")
 
-    caption = "The ideal image, the sensor's image, and their difference. The table holds block means of the map."
-    return Plate("delta_e", caption, figure, coarse_table(score.delta_e, "delta_e"))
+    return figure, coarse_table(score.delta_e, "delta_e")
 
 
 def score_csv(score: Score) -> str:

@@ -1,18 +1,20 @@
-"""Figures and tables as SVG and CSV files, and files as data URIs."""
+"""Figures by name, with captions and tables; their SVG, PDF and CSV files; files as data URIs."""
 
 from __future__ import annotations
 
 import base64
+import math
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import wraps
+from typing import TYPE_CHECKING, Literal, ParamSpec, TypeAlias
 
 import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.tables import Column, table_csv
-from pixsim.show.figures import pdf_bytes, svg_text
+from pixsim.show.figures import own_style, pdf_bytes, svg_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
 ENCODED = {character: f"%{ord(character):02X}" for character in '%\r\n\t"#&\\`'}
 
 
+P = ParamSpec("P")
 Figures: TypeAlias = Literal["svg", "pdf"]  # files of a figure: SVG, or a PDF beside it
 FIGURE_SUFFIXES = ("svg", "csv", "pdf")  # that a plate may have
 COARSE = 64  # samples along each side of a picture's table
@@ -45,9 +48,46 @@ class Plate:
     def csv(self) -> str:
         return table_csv(self.table)
 
+    def named(self, name: str) -> Plate:
+        """Return the figure under another name: one of several of a kind."""
+        return replace(self, name=name)
+
     def drawn(self, figures: Figures = "svg") -> Drawn:
         svg = svg_text(self.figure)
         return Drawn(self.name, self.caption, svg, self.csv, pdf_bytes(self.figure) if figures == "pdf" else None)
+
+
+Drawing: TypeAlias = tuple["Figure", Mapping[str, Array | Column]]  # a figure, and the columns of its CSV
+CAPTIONS: dict[str, str] = {}  # of all figures, by name
+
+
+def figure(name: str, caption: str) -> Callable[[Callable[P, Drawing]], Callable[P, Plate]]:
+    """Register a function that draws a figure of a result, and return the function of its plate.
+
+    name : of the kind of figure, and of its file unless `Plate.named` gives another one
+    caption : says what is drawn and what marks mean, whatever the numbers are
+
+    The function is called in `own_style`. Shorter columns of its table are padded with NaN.
+    """
+
+    def register(draw: Callable[P, Drawing]) -> Callable[P, Plate]:
+        @wraps(draw)
+        def plate(*args: P.args, **options: P.kwargs) -> Plate:
+            with own_style():
+                drawing, columns = draw(*args, **options)
+            return Plate(name, caption, drawing, _table_of(columns))
+
+        CAPTIONS[name] = caption
+        return plate
+
+    return register
+
+
+def _table_of(columns: Mapping[str, Array | Column]) -> dict[str, Column]:
+    """Return columns of one length."""
+    lists = {name: column.tolist() if isinstance(column, np.ndarray) else list(column) for name, column in columns.items()}
+    longest = max(map(len, lists.values()))
+    return {name: column + [math.nan] * (longest - len(column)) for name, column in lists.items()}
 
 
 @dataclass(frozen=True)
