@@ -118,7 +118,7 @@ Units = Annotated[
 ]
 
 
-@app.command
+@app.command(sort_key=0)
 def run(
     scene: Annotated[
         str,
@@ -168,7 +168,7 @@ def run(
     out: Out = None,
     json: Json = False,
 ) -> None:
-    """Render a scene, capture it with one sensor and score the image.
+    """Render a scene, sense it, and score the picture.
 
     Example: pixsim run csf --pixel.pitch-um 5.6 --camera.f-number 2.8
 
@@ -216,7 +216,7 @@ def run(
     answer(document, json, f"report: {folder / 'report.html'}")
 
 
-@app.command
+@app.command(sort_key=3)
 def explore(
     scene: Annotated[
         str,
@@ -238,7 +238,7 @@ def explore(
         bool, Parameter(help="Open no browser: print the file that leads to the page.", negative="--no-browser")
     ] = True,
 ) -> None:
-    """Turn settings on a page of this machine, and see what a sensor makes of a scene.
+    """See on a page what a sensor makes of a scene.
 
     Example: pixsim explore csf --config my_sensor.toml
 
@@ -256,7 +256,7 @@ def explore(
     explore_until_closed(session, None if browser else lambda file: say(f"page: {file}\n"))
 
 
-@app.command
+@app.command(sort_key=4)
 def plan(
     scene: Annotated[str, Parameter(help=SCENE_HELP, completer=common.complete_scene)],
     *,
@@ -267,7 +267,9 @@ def plan(
     variant: common.Variant = None,
     json: Json = False,
 ) -> None:
-    """Show which effects a render would include or leave out, why, and the error bound of each; nothing is rendered.
+    """Show what a render needs, and what it leaves out.
+
+    Each effect comes with the reason and the bound of its error. Nothing is rendered.
 
     Example: pixsim plan macbeth --tolerance-e 1e-4
     """
@@ -282,7 +284,7 @@ def plan(
     answer(plan_document(made, scene, chosen.pixel.assumption), json)
 
 
-@app.command
+@app.command(sort_key=1)
 def study(
     study: Annotated[
         str,
@@ -299,7 +301,7 @@ def study(
     ] = None,
     options: common.StudyOptions = common.NO_STUDY_OPTIONS,
 ) -> None:
-    """Vary the pixel size and find the one with the least visible error.
+    """Find the pixel size with the least visible error.
 
     Example: pixsim study chen2000 --quick
 
@@ -406,7 +408,7 @@ def said_what_is_kept(folder: Path) -> Iterator[None]:
         raise UnwritableError(" ".join([str(error), *(f"{text}." for text in words)])) from None
 
 
-@app.command
+@app.command(sort_key=2)
 def compare(
     *sensors: Annotated[
         str,
@@ -443,7 +445,7 @@ def compare(
     sensor: common.SensorId = None,
     options: common.StudyOptions = common.NO_STUDY_OPTIONS,
 ) -> None:
-    """Compare sensors in one scene: mean ΔE of each, the differences from the first, and how sure they are.
+    """Compare sensors in one scene, or two results.
 
     Example: pixsim compare a.toml b.toml
 
@@ -509,7 +511,7 @@ def compare(
     answer(document, options.json, f"report: {report}")
 
 
-@app.command
+@app.command(sort_key=8)
 def accuracy(
     scene: Annotated[str, Parameter(help=SCENE_HELP, completer=common.complete_scene)],
     *,
@@ -523,7 +525,7 @@ def accuracy(
     out: Out = None,
     json: Json = False,
 ) -> None:
-    """Measure the error of a mean ΔE against run time, and check numerical stability at extreme settings.
+    """Measure the error of a mean ΔE against run time.
 
     Example: pixsim accuracy csf --quick
 
@@ -545,7 +547,7 @@ def accuracy(
     answer(document, json, f"report: {report}")
 
 
-@app.command
+@app.command(sort_key=6)
 def datasheet(
     pixel_file: Annotated[
         str | None,
@@ -566,7 +568,7 @@ def datasheet(
     out: Out = None,
     json: Json = False,
 ) -> None:
-    """Measure a pixel by EMVA 1288, ISO 15739 and ISO 12232, and compare with the true values.
+    """Measure a pixel by EMVA 1288 and ISO 15739.
 
     Example: pixsim datasheet 0.35um --pixel.pitch-um 6.5 --pixel.bits 12
 
@@ -596,7 +598,7 @@ def datasheet(
     answer(document, json, f"report: {report}")
 
 
-@app.command
+@app.command(sort_key=5)
 def lens(
     file: Annotated[
         str,
@@ -648,7 +650,7 @@ def lens(
     out: Out = None,
     json: Json = False,
 ) -> None:
-    """Trace a lens: first-order data, spots, PSF and MTF, distortion, field curvature, illumination and chief ray angles.
+    """Trace a lens: spots, MTF, distortion, chief rays.
 
     Example: pixsim lens cooke_triplet
 
@@ -698,7 +700,7 @@ def lens(
     answer(document, json, f"report: {report}")
 
 
-@app.command
+@app.command(sort_key=7)
 def sfr(
     image: Annotated[
         Path,
@@ -749,7 +751,7 @@ def sfr(
     out: Out = None,
     json: Json = False,
 ) -> None:
-    """Measure the spatial frequency response of a slanted edge by ISO 12233.
+    """Measure the SFR of a slanted edge by ISO 12233.
 
     Example: pixsim run slanted_edge
 
@@ -786,7 +788,7 @@ def corners(region: str | None) -> tuple[int, int, int, int] | None:
     return x0, y0, x1, y1
 
 
-@app.command
+@app.command(sort_key=9)
 def chart(
     kind: Annotated[str, Parameter(help="csf, flat, siemens_star, slanted_edge, target; or a picture: PNG, JPEG, TIFF, HDR, EXR.")],
     *,
@@ -818,7 +820,7 @@ def chart(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Make a chart texture for -D chart=FILE, also from a picture.
+    """Make a chart, also from a picture, as a texture.
 
     Example: pixsim chart siemens_star -o star.exr
 
@@ -872,7 +874,7 @@ def chart(
     answer(Document("chart", "chart", str(output), result, (line,)), json)
 
 
-@app.command
+@app.command(sort_key=11)
 def template(
     kind: Annotated[
         str,
@@ -891,7 +893,7 @@ def template(
     output: Annotated[Path | None, Parameter(name=["-o", "--output"], help="TOML file [default: to standard output].")] = None,
     json: Json = False,
 ) -> None:
-    """Write a commented configuration file with every field, its unit, default and allowed range; or a packaged study.
+    """Write a commented configuration file, or a study.
 
     Example: pixsim template sensor -o my_sensor.toml
 
@@ -917,9 +919,9 @@ def template(
     answer(Document("template", "template", kind, {"file": str(output), "use": use}, (line,)), json)
 
 
-@app.command
+@app.command(sort_key=12)
 def schema(kind: Annotated[str, Parameter(help="sensor or study.")] = "sensor", *, json: Json = True) -> None:
-    """Print the JSON schema of a configuration file, for editors that check and complete TOML.
+    """Print the JSON schema of a configuration file.
 
     Example: pixsim schema study > study.schema.json
     """
@@ -929,7 +931,7 @@ def schema(kind: Annotated[str, Parameter(help="sensor or study.")] = "sensor", 
     answer(Document("schema", "JSON schema", kind, templates.json_schema(kind)), json)
 
 
-@app.command
+@app.command(sort_key=14)
 def cache(
     *,
     clear: Annotated[bool, Parameter(help="Remove the entries.")] = False,
@@ -938,7 +940,7 @@ def cache(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Show or clear the cache: renders, frames of studies, errors of films.
+    """Show or clear the cache.
 
     Example: pixsim cache --clear
 
@@ -972,9 +974,9 @@ def cache_summary(kind: str | None = None) -> dict[str, Any]:
     return {**found, "kinds": dict(sorted(kinds.items())), "foreign_bytes": entry_cache.foreign_bytes()}
 
 
-@app.command
+@app.command(sort_key=10)
 def cameras(*, json: Json = False) -> None:
-    """List the measured cameras and typical filters for pixel.colour.sensitivities, with what each is.
+    """List measured cameras and typical filters.
 
     Example: pixsim cameras
 
@@ -986,13 +988,13 @@ def cameras(*, json: Json = False) -> None:
     answer(cameras_document(camera_data.cameras(), camera_data.SOURCES), json)
 
 
-@app.command
+@app.command(sort_key=15)
 def completion(
     shell: Annotated[Literal["bash", "zsh", "fish"], Parameter(help="bash, zsh (into a folder of $fpath, as _pixsim) or fish.")],
     *,
     json: Json = False,
 ) -> None:
-    """Print the script for shell completion of commands and options.
+    """Print the script for shell completion.
 
     Example: pixsim completion bash > ~/.local/share/bash-completion/completions/pixsim
 
@@ -1007,14 +1009,16 @@ def completion(
 PROBLEM_FOUND = 1  # exit code
 
 
-@app.command
+@app.command(sort_key=13)
 def doctor(
     *,
     out: Out = None,
     limit_s: Annotated[float | None, Parameter(help="Time limit of each check, in s [default: 20].")] = None,
     json: Json = False,
 ) -> None:
-    """Check what pixsim needs on this machine and whether renders are correct; each problem comes with the command to fix it.
+    """Check this machine; say how to mend what it lacks.
+
+    Renders are compared with known values.
 
     Example: pixsim doctor
 
