@@ -35,6 +35,7 @@ REFERENCE = HERE / "reference"
 COMMANDS = "commands"
 SPAN = re.compile(r"<!-- (commands|pixsim[\w.]*)(?:: ([\w, ]+))? -->\n(?:.*?\n)??<!-- end -->\n", re.DOTALL)
 COLUMNS = 78  # of a signature
+RUN_AS_MODULE = re.compile(r"^(pixsim \w+) -m \S+", re.MULTILINE)
 MARKS = re.compile(r"([\\*<])|(?<!\w)(_)|(_)(?!\w)")
 LIST = re.compile(r"(\d*)([-+•#>]|[.)]) ")  # what would begin a list, a heading or a quotation
 
@@ -148,6 +149,7 @@ def commands() -> str:
     from pixsim.cli.commands import app  # with all commands registered
 
     text: str = app.generate_docs(output_format="markdown", heading_level=1, usage_name="pixsim")
+    text = RUN_AS_MODULE.sub(r"\1", text)  # of `python -m pytest`, Cyclopts replaces the first word alone
     return re.sub(r"\n{3,}", "\n\n", text[text.index("## pixsim run") :]).strip("\n") + "\n"
 
 

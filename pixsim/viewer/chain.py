@@ -121,9 +121,9 @@ class ImagingChain:
         return integration_time_s(self.exposure, self.readout, float(self.signal_e_per_s.max()))
 
     def expected(self, integration_s: float) -> ExpectedFrame:
-        """Return what is expected of a frame of this time. Only for light that metrics ask for."""
+        """Return what is expected of a frame of this time. Only for light that metrics ask for (`Metric.needs_light`)."""
         assert self.scene is not None
-        assert self.scene.facts is not None
+        assert self.scene.facts is not None, "no metric asks for the light: needs_light"
         background = self.background_e_per_s
         return ExpectedFrame(
             self.scene.facts,

@@ -53,7 +53,7 @@ class Metric:
     lacks : what a configuration would need for the metric to mean something; empty if it has all
     is_possible : whether such numbers, within the bounds, may stand beside each other
     has_optimum : whether a best pixel size may be told from it
-    needs_light : whether it asks for the light of the scene beside the picture
+    needs_light : whether it asks for the light of the scene beside the picture, as `FrameUnderTest.expected` has it
     needs_frame : whether it asks for the frame and the sensor behind the picture
     worst : columns of which the least value of all frames counts, not their mean
     variants : columns of the same number under other assumptions, each of which tells a best size; NaN where they mean nothing

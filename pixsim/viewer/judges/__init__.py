@@ -32,10 +32,7 @@ _NAMES_OF = {
 }
 _HOME = {name: module for module, names in _NAMES_OF.items() for name in names.split()}
 
-__all__ = [
-    "acutance", "detectability", "edge_mtf", "folded_spectrum", "information_bits_per_mm2", "mtf50", "natural_spectrum", "neq",
-    "niirs", "npwe", "npwe_template", "radial_spectrum", "relative_edge_response", "snr10_lx", "visual_noise",
-]  # fmt: skip
+__all__ = sorted(_HOME)
 
 
 def __getattr__(name: str) -> object:
