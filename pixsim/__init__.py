@@ -109,7 +109,10 @@ _MODULES = {
 }
 
 # Type of results -> the module that plots, writes and shows them.
-PRESENTERS = {"Score": "report.score"}
+PRESENTERS = {
+    "EdgeResponse": "report.sfr",
+    "Score": "report.score",
+}
 
 __all__ = [*_HOME, "optics"]
 

@@ -30,10 +30,7 @@ class Result:
 
     @checks_arguments
     def write(
-        self,
-        folder: str | os.PathLike[str],
-        figures: Literal["svg", "pdf"] = "svg",
-        seconds: Mapping[str, float] | None = None,
+        self, folder: str | os.PathLike[str], figures: Literal["svg", "pdf"] = "svg", seconds: Mapping[str, float] | None = None
     ) -> Path:
         """Write report.html and the other files of the result.
 

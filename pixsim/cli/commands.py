@@ -759,7 +759,8 @@ def sfr(
 
     Writes report.html, sfr.csv, sfr.svg, edge_spread.csv, edge_spread.svg and summary.json.
     """
-    from pixsim.measure.sfr import FILES, sfr as measured, sfr_document
+    from pixsim.measure.sfr import sfr as measured
+    from pixsim.report.sfr import FILES, sfr_document
     from pixsim.show.render import write
 
     folder = out or DEFAULT_OUT / f"{image.stem}-sfr"

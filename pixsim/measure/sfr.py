@@ -14,7 +14,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -31,17 +31,10 @@ from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, excerpt, invalid
 from pixsim.base.notes import collected_notes, warn
 from pixsim.base.records import UnitInterval
-from pixsim.base.tables import Column, table_csv
+from pixsim.base.result import Result
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.raw import BITS_OF_PICTURES, ENCODING, SUFFIXES, black_levels_of, layout_of, read_picture, stated_number
-from pixsim.show.document import Document, Note, Plot, Section, headline
-from pixsim.show.figures import COLOURS, new_figure, own_style
-from pixsim.show.pages import FIGURE_SUFFIXES, Figures, Plate
-from pixsim.show.render import notebook, write
 from pixsim.viewer.judges.sharpness import first_crossing
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 BINS_A_PIXEL = 4  # ISO 12233
 NYQUIST_CY_PER_PX = 0.5
@@ -73,7 +66,6 @@ COVERAGE = 0.95  # of the intervals
 FINER = 4  # frequencies for each of the DFT
 POOLED_BINS = 9  # neighbours whose residuals give one variance: the noise varies slowly with the signal
 MAX_SFR = 1.02  # without noise the SFR of a lens and a pixel does not rise; 0.02 is left for shading that matters to nobody
-MAX_SFR_SHOWN = 3.0  # in the plot
 LOW_CY_PER_PX = 0.05  # shading acts below it, sharpening above
 # A side that clips keeps the codes below its top: more pixels have the top code than noise as on the other side could leave there.
 TOP_QUANTILE = 0.9995  # above it are hot pixels
@@ -95,17 +87,16 @@ MAX_PARITY, PARITY_SIGMAS = 0.01, 6.0  # differences of the means of a cell's pl
 
 @checks_fields
 @dataclass(frozen=True)
-class EdgeResponse:
+class EdgeResponse(Result):
     """The e-SFR of one edge (ISO 12233).
 
     frequency_cy_per_px : (F,) along the edge's normal, in cycles per pixel of the sensor: 0 to 1, or to 0.5 or 0.25 where a
         channel of a mosaic has too few pixels for bins of a quarter of a pixel
     sfr : (F,) 1 at frequency 0
-    sfr_low, sfr_high : (F,) interval of 95 % at each frequency, from the picture's own noise
+    sfr_interval : (2, F) bounds of the interval of 95 % at each frequency, from the picture's own noise
     distance_px, edge_spread : (N,) bin centres, a quarter of a pixel apart, or as above a half or a whole one, and bin means in the
         picture's unit
     angle_deg : of the edge from the vertical, clockwise with row 0 on top, -45 to 135
-    half_window_px : half of the window along the normal
     rows_used : lines across the edge, which cover a whole number of the edge's steps of one pixel of the channel
     contrast : Michelson contrast; 1 also where the dark side is below black, as after dark subtraction
     edge_degree : of the polynomial that was fitted to the edge; 1 for a straight edge
@@ -119,12 +110,10 @@ class EdgeResponse:
 
     frequency_cy_per_px: Array = field(repr=False)
     sfr: Array = field(repr=False)
-    sfr_low: Array = field(repr=False)
-    sfr_high: Array = field(repr=False)
+    sfr_interval: Array = field(repr=False)
     distance_px: Array = field(repr=False)
     edge_spread: Array = field(repr=False)
     angle_deg: float
-    half_window_px: Positive
     rows_used: int
     contrast: UnitInterval
     edge_degree: int = 1
@@ -134,6 +123,11 @@ class EdgeResponse:
     channel: str | None = None
     pitch_um: Positive | None = None
     notes: tuple[str, ...] = ()
+
+    @property
+    def half_window_px(self) -> float:
+        """Half of the window along the normal."""
+        return self.distance_px.size * float(self.distance_px[1] - self.distance_px[0]) / 2
 
     @property
     def mtf50_cy_per_px(self) -> float | None:
@@ -148,7 +142,7 @@ class EdgeResponse:
     @checks_arguments
     def at(self, frequency_cy_per_px: float) -> tuple[float, float, float]:
         """SFR at a frequency, and the bounds of its interval."""
-        curves = (self.sfr, self.sfr_low, self.sfr_high)
+        curves = (self.sfr, *self.sfr_interval)
         sfr, low, high = (float(np.interp(frequency_cy_per_px, self.frequency_cy_per_px, curve)) for curve in curves)
         return sfr, low, high
 
@@ -157,64 +151,10 @@ class EdgeResponse:
         """(F,) frequencies on the sensor for a given pixel pitch."""
         return self.frequency_cy_per_px * 1e3 / pitch_um
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the results for JSON, with frequencies in cy/px, and in cy/mm if the pitch is known."""
-        mtf50, interval_cy_per_px = self.mtf50_cy_per_px, self.mtf50_interval_cy_per_px
-        at_nyquist, at_own = self.at(NYQUIST_CY_PER_PX), self.at(self.nyquist_cy_per_px)
-        result: dict[str, Any] = {
-            "mtf50_cy_per_px": mtf50, "mtf50_interval_cy_per_px": list(interval_cy_per_px),
-            "sfr_at_nyquist": at_nyquist[0], "sfr_at_nyquist_interval": list(at_nyquist[1:]), "interval_coverage": COVERAGE,
-            "channel": self.channel, "channel_nyquist_cy_per_px": self.nyquist_cy_per_px, "sfr_at_channel_nyquist": at_own[0],
-            "highest_frequency_cy_per_px": float(self.frequency_cy_per_px[-1]),
-            "angle_deg": self.angle_deg, "contrast": self.contrast, "edge_degree": self.edge_degree,
-            "edge_sagitta_px": self.edge_sagitta_px, "half_window_px": self.half_window_px, "rows_used": self.rows_used,
-            "pitch_um": self.pitch_um, "warnings": list(self.notes),
-        }  # fmt: skip
-        if self.pitch_um is not None:
-            scale = 1e3 / self.pitch_um
-            result["mtf50_cy_per_mm"] = None if mtf50 is None else mtf50 * scale
-            result["mtf50_interval_cy_per_mm"] = [None if bound is None else bound * scale for bound in interval_cy_per_px]
-            result["nyquist_cy_per_mm"] = NYQUIST_CY_PER_PX * scale
-        return result
-
-    @property
-    def _table(self) -> dict[str, Column]:
-        columns = {
-            "frequency_cy_per_px": self.frequency_cy_per_px,
-            "sfr": self.sfr,
-            "sfr_low": self.sfr_low,
-            "sfr_high": self.sfr_high,
-        }
-        if self.pitch_um is not None:
-            columns["frequency_cy_per_mm"] = self.frequency_cy_per_mm(self.pitch_um)
-        return {name: values.tolist() for name, values in columns.items()}
-
-    @checks_arguments
-    def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
-        """Return the SFR and its interval at each frequency as CSV, and write it to `path` if given."""
-        return table_csv(self._table, path)
-
-    @checks_arguments
-    def write(self, folder: str | os.PathLike[str], figures: Figures = "svg") -> Path:
-        """Write report.html, sfr.csv, sfr.svg, edge_spread.csv, edge_spread.svg, summary.json and provenance.json.
-
-        folder : created if missing
-        figures : "pdf" writes a PDF beside each SVG
-
-        Returns the path of summary.json. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
-        pixsim did not write.
-        """
-        return write(sfr_document(self), Path(folder), figures=figures).with_name("summary.json")
-
-    def plot(self) -> Figure:
-        """Return a Matplotlib figure of the SFR against frequency, with its interval."""
-        return sfr_plate(self).figure
-
-    def _repr_html_(self) -> str:
-        return notebook(sfr_document(self))
-
     def __repr__(self) -> str:
-        return f"<EdgeResponse {sfr_parts(self.as_dict())[0]}>"
+        mtf50 = self.mtf50_cy_per_px
+        half = f"above {self.frequency_cy_per_px[-1]:g}" if mtf50 is None else f"{mtf50:.3f}"
+        return f"<EdgeResponse MTF50 {half} cy/px, {self.at_nyquist:.3f} at Nyquist>"
 
 
 class ChannelGrid(NamedTuple):
@@ -315,17 +255,14 @@ def edge_response(
     frequency, sfr = response(spread, bins_a_pixel)
     shown = frequency <= bins_a_pixel / BINS_A_PIXEL
     frequency, sfr = frequency[shown], sfr[shown]
-    low, high = interval(spread, variance, bins_a_pixel, frequency)
     angle = float(np.degrees(np.arctan(fit.slope)))  # anticlockwise, as y points down; clockwise if transposed
     edge = EdgeResponse(
         frequency,
         sfr,
-        low,
-        high,
+        np.stack(interval(spread, variance, bins_a_pixel, frequency)),
         distance_px,
         spread,
         angle_deg=90.0 + angle if turned else -angle,
-        half_window_px=half_px,
         rows_used=rows.size,
         contrast=min(abs(contrast), 1.0),
         edge_degree=fit.curve.degree(),
@@ -1020,7 +957,8 @@ def warn_of_curve(edge: EdgeResponse) -> None:
         if not among.any() or (highest := float(edge.sfr[among].max())) <= MAX_SFR:
             continue
         at = int(np.flatnonzero(among)[edge.sfr[among].argmax()])
-        range_text = f"the noise leaves {edge.sfr_low[at]:.3g} to {edge.sfr_high[at]:.3g}"
+        low, high = edge.sfr_interval[:, at]
+        range_text = f"the noise leaves {low:.3g} to {high:.3g}"
         warn(f"edge picture: {cause}: the SFR is {highest:.3g} at {edge.frequency_cy_per_px[at]:.3f} cy/px; {range_text}.")
 
 
@@ -1196,84 +1134,3 @@ def sfr(
         )
     pitch = picture.pitch_um if pitch_um is None else pitch_um
     return replace(edge, channel=picture.channel or edge.channel, pitch_um=pitch, notes=tuple(notes))
-
-
-def sfr_document(edge: EdgeResponse) -> Document:
-    """Return the answer of `pixsim sfr`."""
-    data = edge.as_dict()
-    answer = headline(sfr_parts(data))
-    return Document(
-        command="sfr",
-        kind="response to an edge",
-        title="Spatial frequency response",
-        data=data,
-        terminal=(answer,),
-        answers=(answer,),
-        lead=map(Note, edge.notes),
-        sections=(Section("curves", "Curves", (Plot(lambda: sfr_plate(edge)), Plot(lambda: edge_plate(edge)))),),
-        figures=".",
-    )
-
-
-def sfr_parts(result: dict[str, Any]) -> list[str]:
-    """Return the results as parts of a `headline`."""
-    last = f"{result['highest_frequency_cy_per_px']:g}"
-    low, high = (f"above {last}" if bound is None else f"{bound:.3f}" for bound in result["mtf50_interval_cy_per_px"])
-    if result["mtf50_cy_per_px"] is None:
-        half = f"MTF50 above {last} cy/px" + ("" if result["mtf50_interval_cy_per_px"][0] is None else f" (from {low})")
-    else:
-        on_sensor = f" ({result['mtf50_cy_per_mm']:.1f} cy/mm)" if result["pitch_um"] is not None else ""
-        half = f"MTF50 {result['mtf50_cy_per_px']:.3f} [{low}, {high}] cy/px{on_sensor}"
-    at_nyquist = "{:.3f} [{:.3f}, {:.3f}] at Nyquist".format(result["sfr_at_nyquist"], *result["sfr_at_nyquist_interval"])
-    of_channel = "" if result["channel"] is None else f"{result['channel']}: "
-    if of_channel and (own := result["channel_nyquist_cy_per_px"]) < NYQUIST_CY_PER_PX:
-        at_nyquist += f" of the sensor (0.5 cy/px), {result['sfr_at_channel_nyquist']:.3f} at the channel's own ({own:g} cy/px)"
-    elif of_channel:
-        at_nyquist += " of the sensor and of the channel (0.5 cy/px)"
-    curved = f" (bowed by {result['edge_sagitta_px']:.2g} px, degree {result['edge_degree']})" if result["edge_degree"] > 1 else ""
-    edge = f"edge at {result['angle_deg']:.2f}°{curved}, ±{result['half_window_px']:g} px, {result['rows_used']} lines"
-    return [
-        f"{of_channel}{half}, {at_nyquist}",
-        f"{edge}, contrast {result['contrast']:.2f}",
-        f"in brackets {100 * result['interval_coverage']:.0f} % by the picture's noise",
-    ]
-
-
-@own_style()
-def sfr_plate(edge: EdgeResponse) -> Plate:
-    """Plot of the SFR against frequency, with Nyquist frequency and MTF50."""
-    figure = new_figure(5.2, 3.4)
-    axes = figure.subplots()
-    scale, unit = (1.0, "cycles/pixel") if edge.pitch_um is None else (1e3 / edge.pitch_um, "cycles/mm on the sensor")
-    nyquist = NYQUIST_CY_PER_PX * scale
-    axes.fill_between(edge.frequency_cy_per_px * scale, edge.sfr_low, edge.sfr_high, color=COLOURS[0], alpha=0.25, lw=0)
-    axes.plot(edge.frequency_cy_per_px * scale, edge.sfr, color=COLOURS[0], lw=1.5)
-    axes.axvline(nyquist, color="0.6", lw=1, ls="--")
-    top = max(1.03, min(1.05 * float(edge.sfr.max()), MAX_SFR_SHOWN))
-    axes.annotate("Nyquist", (nyquist, top), ha="center", va="bottom", color="0.35", annotation_clip=False)
-    if (mtf50 := edge.mtf50_cy_per_px) is not None:
-        at = mtf50 * scale
-        axes.plot(at, 0.5, "o", ms=5, color=COLOURS[1])
-        axes.annotate(f"MTF50 {at:.3g}", (at, 0.5), xytext=(12, 12), textcoords="offset points", color=COLOURS[1])
-    axes.set(xlabel=f"frequency along the normal of the edge ({unit})", ylabel="e-SFR")
-    axes.set_xlim(0, edge.frequency_cy_per_px[-1] * scale)
-    axes.set_ylim(0, top)
-    caption = "Edge-based spatial frequency response (ISO 12233), with its 95 % interval by the noise of the picture."
-    return Plate("sfr", caption, figure, edge._table)
-
-
-@own_style()
-def edge_plate(edge: EdgeResponse) -> Plate:
-    """Plot of the edge spread function."""
-    figure = new_figure(5.2, 3.0)
-    axes = figure.subplots()
-    axes.plot(edge.distance_px, edge.edge_spread, color=COLOURS[0], lw=1.2)
-    axes.set(xlabel="distance from the edge along its normal (pixels)", ylabel="mean of bins (above black)")
-    axes.set_xlim(-edge.half_window_px, edge.half_window_px)
-    table = {"distance_px": edge.distance_px.tolist(), "mean": edge.edge_spread.tolist()}
-    return Plate(
-        "edge_spread", "Edge spread function: means of pixels at the same distance from the edge, along its normal.", figure, table
-    )
-
-
-FILES = (*(f"{name}.{suffix}" for name in ("sfr", "edge_spread") for suffix in FIGURE_SUFFIXES), "summary.json", "report.html")

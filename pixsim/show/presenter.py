@@ -52,11 +52,7 @@ class Presenter:
         return self.figure(result).figure
 
     def write(
-        self,
-        result: object,
-        folder: str | os.PathLike[str],
-        figures: Figures = "svg",
-        seconds: Mapping[str, float] | None = None,
+        self, result: object, folder: str | os.PathLike[str], figures: Figures = "svg", seconds: Mapping[str, float] | None = None
     ) -> Path:
         """Write the files of a result, and return the path of its page; the arguments are those of `Result.write`."""
         request = PageRequest(Path(folder), figures, seconds or {})

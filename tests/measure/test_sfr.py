@@ -16,7 +16,8 @@ from scipy.special import erf
 
 from pixsim import PixsimError, edge_response, sfr, write_frame
 from pixsim.light.exr import write_channels
-from pixsim.measure.sfr import NYQUIST_CY_PER_PX, read_edge_picture, sfr_document, sfr_parts
+from pixsim.measure.sfr import NYQUIST_CY_PER_PX, read_edge_picture
+from pixsim.report.sfr import sfr_document, sfr_parts
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.raw import RawFrame
 from pixsim.show.render import text
@@ -458,7 +459,7 @@ def coverage(noise: float, side: int, draws: int) -> tuple[int, np.ndarray]:
         low, high = result.mtf50_interval_cy_per_px
         hits += (low is None or low <= TRUE_MTF50) and (high is None or high >= TRUE_MTF50)
         truth = gaussian_mtf(result.frequency_cy_per_px)
-        inside.append(((result.sfr_low <= truth) & (truth <= result.sfr_high))[1:].mean())
+        inside.append(((result.sfr_interval[0] <= truth) & (truth <= result.sfr_interval[1]))[1:].mean())
     return hits, np.array(inside)
 
 
@@ -479,7 +480,7 @@ def test_interval_narrows_with_the_root_of_the_pixels() -> None:
     def width(height: int) -> float:
         picture = gaussian_edge(height=height) + 10 * np.random.default_rng(2).standard_normal((height, SIDE))
         edge = edge_response(picture)
-        return float((edge.sfr_high - edge.sfr_low)[5:40].mean())
+        return float(np.diff(edge.sfr_interval, axis=0)[0, 5:40].mean())
 
     assert width(160) / width(640) == pytest.approx(2.0, rel=0.1)
 
@@ -546,11 +547,11 @@ def test_sfr_command_writes_files(tmp_path: Path) -> None:
     assert first[0] == "frequency_cy_per_px,sfr,sfr_low,sfr_high,frequency_cy_per_mm"
     assert float(first[1].split(",")[1]) == 1.0
     edge = sfr(tmp_path / "raw.exr", region=region)
-    assert edge.write(tmp_path / "python") == tmp_path / "python/summary.json"
+    assert edge.write(tmp_path / "python") == tmp_path / "python/report.html"
     for path in (tmp_path / "o").iterdir():
         assert (tmp_path / "python" / path.name).read_bytes() == path.read_bytes(), path.name
     assert edge.to_csv().encode() == (tmp_path / "o/sfr.csv").read_bytes()
-    assert repr(edge).startswith(f"<EdgeResponse MTF50 {edge.mtf50_cy_per_px:.3f} [")
+    assert repr(edge).startswith(f"<EdgeResponse MTF50 {edge.mtf50_cy_per_px:.3f} cy/px")
     assert f"contrast {edge.contrast:.2f}" in edge._repr_html_()
     assert text(sfr_document(edge)).startswith("MTF50 0.31")
     assert edge.mtf50_cy_per_px != sfr(tmp_path / "raw.exr").mtf50_cy_per_px

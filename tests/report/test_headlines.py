@@ -15,7 +15,7 @@ from helpers.runs import run_result
 
 import pixsim
 from pixsim.base.headline import MOST_WORDS
-from pixsim.measure.sfr import sfr_parts
+from pixsim.report.sfr import sfr_parts
 from pixsim.report.uncertainty import uncertainty_blocks
 from pixsim.report.wording import weighted_answer
 from pixsim.sensor.outside import outside_words
