@@ -109,10 +109,7 @@ _MODULES = {
 }
 
 # Type of results -> the module that plots, writes and shows them.
-PRESENTERS = {
-    "EdgeResponse": "report.sfr",
-    "Score": "report.score",
-}
+PRESENTERS = {"EdgeResponse": "report.sfr", "Score": "report.score", "Table": "report.table"}
 
 __all__ = [*_HOME, "optics"]
 

@@ -8,8 +8,8 @@ from typing import Any
 from pixsim.base.tables import Column, table_csv
 from pixsim.measure.sfr import COVERAGE, NYQUIST_CY_PER_PX, EdgeResponse
 from pixsim.show.document import Document, Note, Plot, Section, headline
-from pixsim.show.figures import COLOURS, new_figure, own_style
-from pixsim.show.pages import FIGURE_SUFFIXES, Plate
+from pixsim.show.figures import COLOURS, new_figure
+from pixsim.show.pages import FIGURE_SUFFIXES, Drawing, figure
 from pixsim.show.presenter import Presenter
 
 FILES = (*(f"{name}.{suffix}" for name in ("sfr", "edge_spread") for suffix in FIGURE_SUFFIXES), "summary.json", "report.html")
@@ -112,8 +112,8 @@ def sfr_table(edge: EdgeResponse) -> dict[str, Column]:
     return {name: values.tolist() for name, values in columns.items()}
 
 
-@own_style()
-def sfr_plate(edge: EdgeResponse) -> Plate:
+@figure("sfr", "Edge-based spatial frequency response (ISO 12233), with its 95 % interval by the noise of the picture.")
+def sfr_plate(edge: EdgeResponse) -> Drawing:
     """Plot the SFR against frequency, with the Nyquist frequency and the MTF50."""
     figure = new_figure(5.2, 3.4)
     axes = figure.subplots()
@@ -134,20 +134,18 @@ def sfr_plate(edge: EdgeResponse) -> Plate:
     axes.set(xlabel=f"frequency along the normal of the edge ({unit})", ylabel="e-SFR")
     axes.set_xlim(0, frequency[-1])
     axes.set_ylim(0, top)
-    caption = "Edge-based spatial frequency response (ISO 12233), with its 95 % interval by the noise of the picture."
-    return Plate("sfr", caption, figure, sfr_table(edge))
+    return figure, sfr_table(edge)
 
 
-@own_style()
-def edge_plate(edge: EdgeResponse) -> Plate:
+@figure("edge_spread", "Edge spread function: means of pixels at the same distance from the edge, along its normal.")
+def edge_plate(edge: EdgeResponse) -> Drawing:
     """Plot the edge spread function."""
     figure = new_figure(5.2, 3.0)
     axes = figure.subplots()
     axes.plot(edge.distance_px, edge.edge_spread, color=COLOURS[0], lw=1.2)
     axes.set(xlabel="distance from the edge along its normal (pixels)", ylabel="mean of bins (above black)")
     axes.set_xlim(-edge.half_window_px, edge.half_window_px)
-    caption = "Edge spread function: means of pixels at the same distance from the edge, along its normal."
-    return Plate("edge_spread", caption, figure, {"distance_px": edge.distance_px.tolist(), "mean": edge.edge_spread.tolist()})
+    return figure, {"distance_px": edge.distance_px, "mean": edge.edge_spread}
 
 
 PRESENTER = Presenter(document=sfr_document, figure=sfr_plate, csv=lambda edge: table_csv(sfr_table(edge)))

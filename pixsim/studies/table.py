@@ -27,8 +27,9 @@ from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import digest_of, kind_of, opened, replacing, version_of_files
 from pixsim.base.notes import warn
+from pixsim.base.result import Result
 from pixsim.base.schema import KEY, SCHEMA, of_another
-from pixsim.base.tables import csv_text
+from pixsim.base.tables import csv_text, dataframe_of
 from pixsim.base.version import VERSION
 from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, PIXEL_STATISTICS, ROUNDING, Metric, columns_of_metrics, columns_with_numbers
 
@@ -44,7 +45,7 @@ Label = float | int | str
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Table(Sequence[dict[str, Any]]):
+class Table(Sequence[dict[str, Any]], Result):
     """Evaluations of sensors: a row for each case, pixel size, sensor and display.
 
     Iterating gives a dict for each row. A point that is impossible has a row without numbers, with its reason.
@@ -139,37 +140,9 @@ class Table(Sequence[dict[str, Any]]):
             return self
         return self.take(~np.isin(np.arange(len(self)), list(self.impossible)))
 
-    @checks_arguments
-    def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
-        """Return the rows as CSV, and write it to `path` if given."""
-        from pixsim.base.tables import csv_text
-
-        rows = iter(self)
-        first = next(rows, {})
-        return csv_text(chain([first, first.values()], (row.values() for row in rows)), path)
-
     def to_dataframe(self) -> DataFrame:
         """Return the rows as a pandas.DataFrame. Raises PixsimError without pandas."""
-        from pixsim.base.tables import dataframe_of
-
         return dataframe_of(list(self))
-
-    def _repr_html_(self) -> str:
-        from pixsim.show.document import Document, DocumentTable
-        from pixsim.show.render import notebook
-
-        names = [metric.columns[0] for metric in self.metrics]
-        lines = []
-        sizes = sorted(set(zip(self.case.tolist(), self.columns["pitch_um"].tolist(), strict=True)))
-        for case, pitch_um in sizes:
-            chosen = (self.case == case) & (self.columns["pitch_um"] == pitch_um)
-            means = [f"{self.columns[name][chosen].mean():.6g}".replace("nan", "–") for name in names]
-            lines.append((*map(str, self.labels[case].values()), f"{pitch_um:g}", *means))
-        sensors = 1 + int(self.columns["repeat"].max(initial=0))
-        caption = f"{len(lines)} pixels, " + (f"means over {sensors} sensors of each" if sensors > 1 else "a sensor of each")
-        head = *self.labels[0], "size (µm)", *(metric.label for metric in self.metrics)
-        words = tuple(range(1, len(self.labels[0])))
-        return notebook(Document("", "", "", {}, cell=(DocumentTable(caption, head, tuple(lines), caption, words=words),)))
 
     def __repr__(self) -> str:
         return f"<Table of {len(self)} rows: {', '.join(metric.name for metric in self.metrics)}>"

@@ -113,7 +113,7 @@ def test_table_is_rows_csv_and_frame(light, tmp_path, monkeypatch):
     assert (len(table), table[-1]["repeat"], table[:1][0]["pixel"]) == (2, 1, "007")
     assert "mean_delta_e" not in table[0], "which nobody asks for"
     mean = np.mean([row["mean_image"] for row in table])
-    assert f"<td>0.35um</td><td>007</td><td>10</td><td>{mean:.6g}</td>" in table._repr_html_()
+    assert f"<td>0.35um</td><td>007</td><td>10</td><td>{mean:.4g}</td>" in table._repr_html_()
     monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=list, read_csv=None))
     assert table.to_dataframe() == list(table)
     monkeypatch.setitem(sys.modules, "pandas", None)

@@ -1,0 +1,96 @@
+"""The page of a table of evaluations: its first metric against pixel size, and the means of each size."""
+
+from __future__ import annotations
+
+from itertools import chain, cycle, groupby
+from operator import attrgetter
+from typing import NamedTuple
+
+import numpy as np
+
+from pixsim.base.digits import number
+from pixsim.base.tables import Column, csv_text
+from pixsim.show.document import Answer, Document, DocumentTable, Plot, Section
+from pixsim.show.figures import LOOKS, finish, literal, new_figure
+from pixsim.show.pages import Drawing, figure
+from pixsim.show.presenter import Presenter
+from pixsim.studies.table import Table
+
+DIGITS = 4
+MAX_NAMED = len(LOOKS)  # lines that a legend names
+
+
+class SizeMeans(NamedTuple):
+    """Means over the sensors of one pixel size of one case.
+
+    values : of the first column of each metric
+    """
+
+    case: int
+    pitch_um: float
+    values: list[float]
+
+
+def size_means(table: Table) -> list[SizeMeans]:
+    """Return the means of each pixel size of each case, in the order of the cases and sizes; NaN without numbers."""
+    sizes, groups, counts = np.unique(
+        np.column_stack([table.case, table.columns["pitch_um"]]), axis=0, return_inverse=True, return_counts=True
+    )
+    means = [np.bincount(groups.ravel(), table.columns[metric.columns[0]]) / counts for metric in table.metrics]
+    return [SizeMeans(int(case), pitch_um, values) for (case, pitch_um), *values in zip(sizes.tolist(), *means, strict=True)]
+
+
+def table_document(table: Table) -> Document:
+    """Return the page of a table: its first metric against pixel size, and the means of each size."""
+    means = size_means(table)
+    sensors = 1 + int(table.columns["repeat"].max(initial=0))
+    head = f"{len(means)} pixels, " + (f"means over {sensors} sensors of each" if sensors > 1 else "a sensor of each")
+    return Document(
+        command="sweep",
+        kind="evaluations",
+        title="Evaluations",
+        data={"pixels": len(means), "rows": len(table), "metrics": [metric.name for metric in table.metrics]},
+        answers=(Answer(head),),
+        lead=(Plot(lambda: table_plate(table)),),
+        sections=(Section("means", "Means", (_means_table(table, means),), brief=True),),
+        files={"table.csv": table_text(table)},
+    )
+
+
+def _means_table(table: Table, means: list[SizeMeans]) -> DocumentTable:
+    label_names = tuple(table.labels[0])
+    head = *label_names, "size (µm)", *(metric.label for metric in table.metrics)
+    rows = [
+        (*map(str, table.labels[row.case].values()), f"{row.pitch_um:g}", *(number(value, DIGITS) for value in row.values))
+        for row in means
+    ]
+    return DocumentTable("means", head, rows, words=tuple(range(1, len(label_names))))
+
+
+@figure("metric", "The first metric against pixel size: means over the sensors of each size, a line a case.")
+def table_plate(table: Table) -> Drawing:
+    """Plot the first metric against pixel size, a line a case."""
+    figure = new_figure(6.4, 4.0)
+    axes = figure.subplots()
+    means = size_means(table)
+    for (case, rows), look in zip(groupby(means, attrgetter("case")), cycle(LOOKS), strict=False):
+        curve = list(rows)
+        name = literal(", ".join(map(str, table.labels[case].values())))
+        axes.plot([row.pitch_um for row in curve], [row.values[0] for row in curve], label=name, ms=4, **look.line)
+
+    metric = table.metrics[0]
+    finish(axes, "pixel size (µm)", literal(metric.label), "best" if len(table.labels) <= MAX_NAMED else None)
+    columns: dict[str, Column] = {name: [table.labels[row.case][name] for row in means] for name in table.labels[0]}
+    columns["pitch_um"] = [row.pitch_um for row in means]
+    columns[metric.columns[0]] = [row.values[0] for row in means]
+    return figure, columns
+
+
+def table_text(table: Table) -> str:
+    """Return all rows as CSV."""
+    rows = iter(table)
+    first = next(rows, {})
+    return csv_text(chain([first, first.values()], (row.values() for row in rows)))
+
+
+PRESENTER = Presenter(document=table_document, figure=table_plate, csv=table_text)
