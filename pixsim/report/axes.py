@@ -73,7 +73,7 @@ def axes_document(result: CasesResult, regrets: Sequence[Regrets], warned: Colle
 def alone_words(result: CasesResult) -> list[str]:
     """Return how far each axis that is moved alone moves the optimum, widest first, for the panels of its figure."""
     names = [axis.name for axis in result.study.axis if axis.alone]
-    groups = alone_groups(result, names)[0] if names else []
+    groups = alone_groups(result, names) if names else []
     lines = []
     for group in groups:
         found = []

@@ -1,18 +1,16 @@
-"""Figures of a study's axes: the optimum along each, mean ΔE over pixel size and axis, pairs of axes, and axes moved alone.
+"""Figures of a study's axes: the optimum along each, maps over pixel size and over pairs of axes, and axes moved alone.
 
 They are of the study's first metric, which need not be ΔE; tables have the optima by all.
-
-A caption says what a figure shows and what its marks mean; the numbers stand in its table.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations, count, pairwise, product
+from itertools import combinations, count, product
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -23,163 +21,45 @@ from pixsim.base.tables import Column
 from pixsim.base.units import unit_of
 from pixsim.optics.camera import Camera
 from pixsim.sensor.labels import labels_of
-from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, Look, literal, new_figure, own_style
-from pixsim.show.pages import Plate
+from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, Look, literal, new_figure, plain_powers
+from pixsim.show.pages import Drawing, Plate, figure
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY
 from pixsim.studies.curve import Curve
-from pixsim.studies.design import BASE, CUTOFF_NM, cutoff_pitch_um, of_technology
+from pixsim.studies.design import BASE, cutoff_pitch_um, of_technology
 from pixsim.studies.result import CasesResult, StudyResult, closed_range, fresnel_column, range_columns
 from pixsim.studies.settings import Axis, Study, setting_path
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import XAxis, YAxis
-    from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
     from matplotlib.transforms import Transform
-
-    from pixsim.viewer.metrics import Metric
 
 Item = TypeVar("Item")
 MAX_LINES = 6  # of a figure: as many looks that a reader tells apart
 MAX_PANELS = 6
-MAX_ROWS = 3  # of two maps each
+MAX_ROWS = 3  # of panels of axes that are moved alone
 MAX_BARS = 24  # of all panels of axes that are moved alone, if there are several
 MAX_VALUES = 50  # of an axis in a figure
 LOG_SPAN = 10.0  # of values whose ratios are more even than their steps, above which their scale is logarithmic
-MAP_STEP = 20  # of the fitted curve's 801 places: its table has a row for each 41st part
+MAP_SIZES = 41  # pixel sizes of a map
+CONTOURS = 7
+NUMBERED_CELLS = 6  # along either side of a map with numbers in its cells
 WIDTH_IN = 6.4
 PT_PER_IN = 72.0
 SMALL_PT, CELL_PT = 8.0, 7.5  # fonts
-# Characters of a line's label in a figure, of the name of an axis, of a label at a tick, and of one beside a map.
-SHORT, SHORT_AXIS, SHORT_TICK, SHORT_SIDE = 36, 32, 18, 10
+# Characters of a line's label in a figure, of the name of an axis, and of a label at a tick.
+SHORT, SHORT_AXIS, SHORT_TICK = 36, 32, 16
 LEAST_SPAN = 0.02  # of a value, for the colours of a map and the axis of a bar
-MARGIN = 0.08  # of an axis, around what is drawn
-CELLS_PT = (175.0, 105.0)  # room for the cells of a map without colour bar, across and down
-WIDE, NARROW = 0.66, 0.33  # width of a digit and of a point over the font's size
-ARROWS = ((r"$\downarrow$", -1), (r"$\uparrow$", 1))  # markers of an open end, and their way; no line has them
-ARROW_PT, ARROW_SIZE_PT = 8.0, 9.0  # from the end of the sizes tried to an arrow; length of an arrow
+ARROW_PT = 8.0  # from the end of the sizes tried to the arrow of an open end
 DODGE_PT = 3.0  # between lines, whose bars would hide each other
-BANDS = 24  # of colours in a map
-MOST_TICKS = 9  # of a colour bar
-ROUND = (
-    (1, 1.1, 1.25, 1.5, 1.75, 2, 2.5, 3, 4, 5, 6, 8),
-    (1, 1.25, 1.5, 2, 2.5, 3, 4, 5, 6, 8),
-    (1, 1.5, 2, 3, 5, 7),
-    (1, 2, 5),
-    (1,),
-)
-
-
-@dataclass(frozen=True)
-class Scale:
-    """The values of an axis of a study, increasing if they are numbers, and where a figure has them.
-
-    unit : empty if there is none, or there are several
-    log : whether the figure's scale is logarithmic
-    left_out : number of values that a figure has no place for
-    lacking : number of values that a figure does not show because the study left out cases of them
-    """
-
-    name: str
-    values: tuple[float | int | str, ...]
-    unit: str = ""
-    log: bool = False
-    left_out: int = 0
-    lacking: int = 0
-
-    @classmethod
-    def of(cls, axis: Axis) -> Scale:
-        """Return the scale of an axis: logarithmic if its values are spaced so, categories if they are not numbers."""
-        values: list[Any] = [point.value for point in axis.points]
-        units = {unit_of(setting_path(dotted)[-1]) for dotted in axis.set}
-        numeric = not any(isinstance(value, str) for value in values)
-        values = sorted(values) if numeric else values
-        kept = evenly(values, min(len(values), MAX_VALUES))
-        log = numeric and (axis.spacing == "log" or _even_in_ratios(values))
-        return cls(axis.name, tuple(kept), units.pop() if numeric and len(units) == 1 else "", log, len(values) - len(kept))
-
-    @property
-    def numeric(self) -> bool:
-        """Whether the values are numbers, not categories."""
-        return not any(isinstance(value, str) for value in self.values)
-
-    def named(self, value: float | int | str) -> str:
-        """Return a value with its unit and the name of the axis; a label stands for itself."""
-        return value if isinstance(value, str) else f"{self.name} {value:.4g} {self.unit}".rstrip()
-
-    @cached_property
-    def places(self) -> Array:
-        """The values, or the numbers of the categories, (n,)."""
-        return np.array(self.values if self.numeric else range(len(self.values)), float)
-
-    @cached_property
-    def edges(self) -> Array:
-        """Borders of the values' columns in a map, half-way between them, (n + 1,)."""
-        at = np.log(self.places) if self.log else self.places
-        if at.size == 1:
-            half = (math.log(2.0) if self.log else abs(float(at[0])) / 2 or 0.5) if self.numeric else 0.5
-            between, ends = at[:0], (at[0] - half, at[0] + half)
-        else:
-            between = (at[1:] + at[:-1]) / 2
-            ends = (1.5 * at[0] - 0.5 * at[1], 1.5 * at[-1] - 0.5 * at[-2])
-        edges = np.array([ends[0], *between, ends[1]])
-        return np.exp(edges) if self.log else edges
-
-    @property
-    def label(self) -> str:
-        """Name and unit, for a figure."""
-        name = short(self.name, SHORT_AXIS)
-        return literal(f"{name} ({self.unit})" if self.unit else name)
-
-    @property
-    def ticks(self) -> list[str]:
-        """Labels of the values in a figure."""
-        return [short(value, SHORT_TICK) if isinstance(value, str) else f"{value:.4g}" for value in self.values]
-
-    def draw_on(self, axes: Axes, characters: int) -> None:
-        """Set the horizontal axis of a figure, which has room for about that many characters."""
-        axes.set_xlabel(self.label)
-        if self.log:
-            from matplotlib.ticker import NullLocator
-
-            axes.set_xscale("log")
-            axes.xaxis.set_minor_locator(NullLocator())
-            at = np.log(self.places) / float(np.ptp(np.log(self.edges))) * characters
-            shown: list[int] = []
-            for place in sorted(range(len(self.values)), key=lambda place: len(self.ticks[place])):  # round numbers first
-                if all(abs(at[place] - at[other]) > 1 + (len(self.ticks[place]) + len(self.ticks[other])) / 2 for other in shown):
-                    shown.append(place)
-            shown.sort()
-            axes.set_xticks(self.places[shown], [self.ticks[place] for place in shown])
-        elif not self.numeric:
-            draw_labels(axes.xaxis, self.ticks, characters)
-        axes.set_xlim(float(self.edges[0]), float(self.edges[-1]))
-
-
-def _even_in_ratios(values: Sequence[float]) -> bool:
-    """Return whether increasing numbers span more than a factor of `LOG_SPAN`, and their ratios differ less than their steps."""
-    if len(values) < 2 or values[0] <= 0 or values[-1] <= LOG_SPAN * values[0]:
-        return False
-    steps, ratios = np.diff(values), np.diff(np.log(values))
-    return bool(ratios.max() / ratios.min() <= steps.max() / steps.min())
+PIXEL_SIZE = "optimal pixel size (µm)"
+ON_CELL = {"facecolor": "white", "alpha": 0.6, "edgecolor": "none", "pad": 1}  # of the numbers in a map
 
 
 def short(text: str, most: int = SHORT) -> str:
     """Return text that fits in a figure."""
     return text if len(text) <= most else text[: most - 1] + "…"
-
-
-def draw_labels(axis: XAxis | YAxis, labels: Sequence[str], characters: int) -> None:
-    """Label places 0, 1, … of an axis that has room for about that many characters; of very many, some evenly chosen ones."""
-    across = axis.axis_name == "x"
-    tilted = across and sum(map(len, labels)) + 2 * len(labels) > characters
-    room = characters // 4 if tilted or not across else len(labels)
-    places = evenly(range(len(labels)), min(len(labels), room))
-    axis.set_ticks(list(places), [literal(short(labels[place], SHORT_TICK if across else SHORT_SIDE)) for place in places])
-    if tilted:
-        for label in axis.get_ticklabels():
-            label.set(rotation=30, ha="right", rotation_mode="anchor")
 
 
 def evenly(items: Sequence[Item], number: int) -> list[Item]:
@@ -197,6 +77,107 @@ def fewer(counts: Sequence[int], most: int) -> list[int]:
     return kept
 
 
+# --- the values of an axis -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Scale:
+    """The values of an axis of a study, increasing if they are numbers, and where a figure has them.
+
+    unit : empty if there is none, or there are several
+    log : whether the figure's scale is logarithmic
+    total : number of values of the study, of which a figure may have fewer
+    """
+
+    name: str
+    values: tuple[float | int | str, ...]
+    unit: str = ""
+    log: bool = False
+    total: int = 0
+
+    @classmethod
+    def of(cls, axis: Axis) -> Scale:
+        """Return the scale of an axis: logarithmic if its values are spaced so, categories if they are not numbers."""
+        values: list[Any] = [point.value for point in axis.points]
+        units = {unit_of(setting_path(dotted)[-1]) for dotted in axis.set}
+        numeric = not any(isinstance(value, str) for value in values)
+        values = sorted(values) if numeric else values
+        unit = units.pop() if numeric and len(units) == 1 else ""
+        log = numeric and (axis.spacing == "log" or _even_in_ratios(values))
+        return cls(axis.name, tuple(evenly(values, min(len(values), MAX_VALUES))), unit, log, len(values))
+
+    @property
+    def numeric(self) -> bool:
+        """Whether the values are numbers, not categories."""
+        return not any(isinstance(value, str) for value in self.values)
+
+    def named(self, value: float | int | str) -> str:
+        """Return a value with its unit and the name of the axis; a label stands for itself."""
+        return value if isinstance(value, str) else f"{self.name} {value:.4g} {self.unit}".rstrip()
+
+    @cached_property
+    def places(self) -> Array:
+        """The values, or the numbers of the categories, (n,)."""
+        return np.array(self.values if self.numeric else range(len(self.values)), float)
+
+    @cached_property
+    def edges(self) -> Array:
+        """Borders of the values' cells in a map, half-way between them, (n + 1,)."""
+        at = np.log(self.places) if self.log else self.places
+        if at.size == 1:
+            half = math.log(2.0) if self.log else abs(float(at[0])) / 2 or 0.5
+            edges = np.array([at[0] - half, at[0] + half])
+        else:
+            between = (at[1:] + at[:-1]) / 2
+            edges = np.array([1.5 * at[0] - 0.5 * at[1], *between, 1.5 * at[-1] - 0.5 * at[-2]])
+        return np.exp(edges) if self.log else edges
+
+    @property
+    def categories(self) -> Scale:
+        """The values as labels, in cells of one size."""
+        return replace(self, values=tuple(value if isinstance(value, str) else f"{value:.4g}" for value in self.values), log=False)
+
+    @property
+    def label(self) -> str:
+        """Name and unit, for a figure."""
+        name = short(self.name, SHORT_AXIS)
+        return literal(f"{name} ({self.unit})" if self.unit else name)
+
+    def draw_on(self, axis: XAxis | YAxis, characters: int) -> None:
+        """Set an axis of a figure, with labels for about that many characters beside or above one another."""
+        set_scale = axis.axes.set_xscale if axis.axis_name == "x" else axis.axes.set_yscale
+        set_ends = axis.axes.set_xlim if axis.axis_name == "x" else axis.axes.set_ylim
+        if self.log:
+            set_scale("log")
+        if self.log or not self.numeric:
+            self._draw_ticks(axis, characters)
+        set_ends(float(self.edges[0]), float(self.edges[-1]))
+        axis.set_label_text(self.label)
+
+    def _draw_ticks(self, axis: XAxis | YAxis, characters: int) -> None:
+        """Label the values; of very many, evenly chosen ones."""
+        texts = [short(str(value), SHORT_TICK) for value in self.categories.values]
+        tilted = axis.axis_name == "x" and sum(len(text) + 2 for text in texts) > characters
+        room = characters // 4 if tilted or axis.axis_name == "y" else len(texts)
+        shown = evenly(range(len(texts)), min(len(texts), room))
+        axis.set_ticks(self.places[shown].tolist(), [literal(texts[place]) for place in shown])
+        axis.set_tick_params(which="minor", bottom=False, left=False, labelbottom=False, labelleft=False)
+        if tilted:
+            for label in axis.get_ticklabels():
+                label.set(rotation=30, ha="right", rotation_mode="anchor")
+
+
+def _even_in_ratios(values: Sequence[float]) -> bool:
+    """Return whether increasing numbers span more than a factor of `LOG_SPAN`, and their ratios differ less than their steps."""
+    if len(values) < 2 or values[0] <= 0 or values[-1] <= LOG_SPAN * values[0]:
+        return False
+    steps, ratios = np.diff(values), np.diff(np.log(values))
+    return bool(ratios.max() / ratios.min() <= steps.max() / steps.min())
+
+
+# --- the curves of a study by axes ---------------------------------------------------------------------------------------
+
+
 @dataclass(frozen=True)
 class Line:
     """The curves along an axis, of one technology, condition and value of the other axes, with the cameras of their cases."""
@@ -206,14 +187,14 @@ class Line:
     cameras: tuple[Camera, ...]
 
     @property
-    def cutoff_um(self) -> Array:
-        """The pitch whose Nyquist frequency is the lens's cut-off, for each curve."""
-        return np.array([cutoff_pitch_um(camera) for camera in self.cameras])
+    def optima_um(self) -> Array:
+        """The best pixel size of each curve."""
+        return np.array([curve.optimum.pitch_um for curve in self.curves])
 
     @property
-    def doubtful_um(self) -> Array:
-        """The pitch below which the model of the microlenses is doubtful, for each curve; NaN without microlenses."""
-        return np.array([np.nan if curve.doubtful_below_um is None else curve.doubtful_below_um for curve in self.curves])
+    def inside(self) -> Array:
+        """Whether each best size lies inside the sizes tried."""
+        return np.array([curve.optimum.inside for curve in self.curves])
 
 
 class Grid:
@@ -253,13 +234,10 @@ class Grid:
                 for value in side
                 if len(side) > 1
             }
-            place, value = max(lacking, key=lambda each: lacking[each])
+            place, value = max(lacking, key=lambda item: lacking[item])
             sides[place].remove(value)
         self.conditions = sides[0]
-        self.scales = [
-            replace(scale, values=tuple(side), lacking=len(scale.values) - len(side))
-            for scale, side in zip(self.scales, sides[1:], strict=True)
-        ]
+        self.scales = [replace(scale, values=tuple(side)) for scale, side in zip(self.scales, sides[1:], strict=True)]
 
     def line(self, along: Scale, technology: int, condition: str, at: Mapping[str, Any], label: str = "") -> Line:
         """Return the curves along an axis."""
@@ -269,35 +247,38 @@ class Grid:
             parts.append(self._cases[(condition, *(values[scale.name] for scale in self.scales))])
         return Line(label, tuple(part.curves[technology] for part in parts), tuple(part.camera for part in parts))
 
-    def lines(self, along: Scale, swept: Sequence[Scale], held: Mapping[str, Any], most: int, kind: str) -> tuple[list[Line], str]:
-        """Return lines along an axis for the values of other axes, the technologies and the conditions, and what is left out.
+    def lines(self, along: Scale, swept: Sequence[Scale], held: Mapping[str, Any], most: int) -> tuple[list[Line], int]:
+        """Return at most `most` lines along an axis, evenly chosen, and the number of all.
 
-        swept : axes of which all values are shown, if there are at most `most` lines
+        There is one for each technology, condition and value of the swept axes.
+
         held : value of each of the other axes
-        kind : of what is drawn for a line, in the plural
         """
         sizes = [*(len(scale.values) for scale in swept), len(self.technologies), len(self.conditions)]
         counts = fewer(sizes, most)
-        each = [evenly(scale.values, number) for scale, number in zip(swept, counts, strict=False)]
+        swept_values = [evenly(scale.values, number) for scale, number in zip(swept, counts, strict=False)]
         technologies = evenly(range(len(self.technologies)), counts[-2])
         lines = []
-        chosen = product(technologies, evenly(self.conditions, counts[-1]), product(*each))
-        for place, condition, values in chosen:
+        for place, condition, values in product(technologies, evenly(self.conditions, counts[-1]), product(*swept_values)):
             words = [self.technologies[place]] if len(self.technologies) > 1 else []
             words += [condition] if len(self.conditions) > 1 else []
             words += [scale.named(value) for scale, value in zip(swept, values, strict=True) if len(scale.values) > 1]
             at = {**held, **{scale.name: value for scale, value in zip(swept, values, strict=True)}}
             lines.append(self.line(along, place, condition, at, ", ".join(words)))
-        total = math.prod(sizes)
-        return lines, f"{len(lines)} of {total} {kind} are shown, evenly chosen." if len(lines) < total else ""
+        return lines, math.prod(sizes)
 
-    def middle(self, but: Sequence[Scale]) -> tuple[dict[str, Any], str]:
-        """Return the middle value of every other axis, and its words."""
-        others = [scale for scale in self.scales if scale not in but]
-        held = {scale.name: evenly(scale.values, 1)[0] for scale in others}
-        words = [scale.named(held[scale.name]) for scale in others if len(scale.values) > 1]
-        middle = "their middle values" if len(words) > 1 else "its middle value"
-        return held, f"Held at {middle}: {', '.join(words)}." if words else ""
+    def middle(self, but: Sequence[Scale]) -> dict[str, Any]:
+        """Return the middle value of every other axis."""
+        return {scale.name: evenly(scale.values, 1)[0] for scale in self.scales if scale not in but}
+
+    def title(self, held: Mapping[str, Any], lines: int, total: int, shown: Sequence[Scale]) -> str:
+        """Return the values at which axes are held, and how much of the study a figure shows, if not all."""
+        words = [scale.named(held[scale.name]) for scale in self.scales if scale.name in held and len(scale.values) > 1]
+        words += [f"{lines} of {total} lines or panels"] if lines < total else []
+        words += [
+            f"{len(scale.values)} of {scale.total} values of {scale.name}" for scale in shown if len(scale.values) < scale.total
+        ]
+        return literal("; ".join(words))
 
     def columns(self, curves: Sequence[Curve]) -> dict[str, Column]:
         """Return the columns that tell curves apart: technology, condition, and a column named by each axis."""
@@ -339,16 +320,16 @@ def optimum_columns(curves: Sequence[Curve]) -> dict[str, Column]:
 
     inside : whether the optimum lies between the ends of the sizes tried
     """
-    best, name = [curve.optimum for curve in curves], best_column(curves[0])
+    optima, name = [curve.optimum for curve in curves], best_column(curves[0])
     return {
-        "optimum_um": [each.pitch_um for each in best],
+        "optimum_um": [best.pitch_um for best in optima],
         **range_columns("interval", curves),
-        "between_sizes_share": [each.between_sizes_share for each in best],
-        "inside": [str(each.inside) for each in best],
-        name: [each.value for each in best],
-        f"{name}_low": [each.value_interval[0] for each in best],
-        f"{name}_high": [each.value_interval[1] for each in best],
-        **fresnel_column(curves, [each.pitch_um for each in best]),
+        "between_sizes_share": [best.between_sizes_share for best in optima],
+        "inside": [str(best.inside) for best in optima],
+        name: [best.value for best in optima],
+        f"{name}_low": [best.value_interval[0] for best in optima],
+        f"{name}_high": [best.value_interval[1] for best in optima],
+        **fresnel_column(curves, [best.pitch_um for best in optima]),
         **{name: column for metric in curves[0].metrics[1:] for name, column in _metric_columns(metric.name, curves).items()},
     }
 
@@ -364,50 +345,23 @@ def _metric_columns(metric: str, curves: Sequence[Curve]) -> dict[str, Column]:
     if not any(optima):
         return {}
     values: dict[str, list[float | None]] = {
-        f"{metric}_optimum_um": [None if each is None else each.pitch_um for each in optima],
-        f"{metric}_interval_low_um": [None if each is None else each.interval_um[0] for each in optima],
-        f"{metric}_interval_high_um": [None if each is None else each.interval_um[1] for each in optima],
-        f"{metric}_between_sizes_share": [None if each is None else each.between_sizes_share for each in optima],
-        f"best_{metric}": [None if each is None else each.value for each in optima],
+        f"{metric}_optimum_um": [None if best is None else best.pitch_um for best in optima],
+        f"{metric}_interval_low_um": [None if best is None else best.interval_um[0] for best in optima],
+        f"{metric}_interval_high_um": [None if best is None else best.interval_um[1] for best in optima],
+        f"{metric}_between_sizes_share": [None if best is None else best.between_sizes_share for best in optima],
+        f"best_{metric}": [None if best is None else best.value for best in optima],
     }
     return {name: ["" if value is None else value for value in column] for name, column in values.items()}
 
 
-# --- what captions say ---------------------------------------------------------------------------------------------------
-
-ARROW_MEANS = "Arrow: no limit, to the end of the sizes tried."
-NOT_FOUND = "the best size is not known: it is at an end of the sizes tried, or the film cannot tell sizes apart."
-
-
-def sentences(*parts: str) -> str:
-    """Return sentences as one text, without empty ones."""
-    return " ".join(filter(None, parts))
-
-
-def is_found(curve: Curve) -> bool:
-    """Return whether a curve has an optimum inside the sizes tried."""
-    return curve.optimum.inside
-
-
-def without(scales: Sequence[Scale]) -> str:
-    """Return what is left out of axes of very many values."""
-    long = [scale for scale in scales if scale.left_out]
-    words = [f"{len(scale.values)} of {len(scale.values) + scale.left_out} values of {scale.name}" for scale in long]
-    lacking = " and ".join(f"{scale.lacking} of {scale.name}" for scale in scales if scale.lacking)
-    return sentences(
-        f"Shown are {' and '.join(words)}, evenly chosen." if words else "",
-        f"Not shown are values with cases that are left out: {lacking}." if lacking else "",
-    )
-
-
-# --- plates ------------------------------------------------------------------------------------------------------------
+# --- figures of axes -----------------------------------------------------------------------------------------------------
 
 
 def plate_names(study: Study) -> list[str]:
     """Return the names of the plates of `axis_plates`, in its order, and that of `alone_plate`."""
     together = [re.sub(r"[^\w.\-]+", "_", axis.name, flags=re.ASCII) for axis in study.axis if not axis.alone]
     names = [f"{kind}_{name}" for name in together for kind in ("optimum_by", f"{study.metrics[0]}_by_pitch_and")]
-    names += [f"optimum_by_{one}_and_{other}" for one, other in combinations(together, 2)]
+    names += [f"optimum_by_{first}_and_{second}" for first, second in combinations(together, 2)]
     return unique_names([*names, "tornado"] if any(axis.alone for axis in study.axis) else names)
 
 
@@ -417,374 +371,202 @@ def axis_plates(result: CasesResult) -> list[Plate]:
     Of an axis: the optimum along it, and mean ΔE over pixel size and axis. Of two: the optimum and the least mean ΔE.
     """
     grid = Grid(result)
-    names = iter(plate_names(result.study))
-    plates = [draw(grid, scale, next(names)) for scale in grid.scales for draw in (optimum_along, map_along)]
-    return plates + [map_of_two(grid, one, other, next(names)) for one, other in combinations(grid.scales, 2)]
+    plates = [draw(grid, scale) for scale in grid.scales for draw in (optimum_along, map_along)]
+    plates += [map_of_two(grid, across, up) for across, up in combinations(grid.scales, 2)]
+    return [plate.named(name) for plate, name in zip(plates, plate_names(result.study), strict=False)]
 
 
-@own_style()
-def optimum_along(grid: Grid, scale: Scale, name: str) -> Plate:
+@figure(
+    "optimum_by_axis",
+    "Optimal pixel size along an axis, with its 95 % interval. Arrow: no limit within the sizes tried. Hollow: the best size is "
+    "not known, since it is at an end of the sizes tried or the film cannot tell sizes apart. Points of one value stand side by "
+    "side.",
+)
+def optimum_along(grid: Grid, scale: Scale) -> Drawing:
     """Plot the optimum with its interval along an axis, a line for each technology, condition and value of the other axes."""
-    from matplotlib.lines import Line2D
     from matplotlib.transforms import ScaledTranslation
 
-    lines, left_out = grid.lines(scale, [other for other in grid.scales if other is not scale], {}, MAX_LINES, "lines")
+    others = [other for other in grid.scales if other is not scale]
+    lines, total = grid.lines(scale, others, {}, MAX_LINES)
     figure = new_figure(WIDTH_IN, 3.8)
     axes = figure.subplots()
-    scale.draw_on(axes, 70)
+    scale.draw_on(axes.xaxis, 70)
     apart_pt = min(DODGE_PT, 0.6 * WIDTH_IN * PT_PER_IN / len(scale.values) / len(lines))
     for number, (line, look) in enumerate(zip(lines, LOOKS, strict=False)):
-        aside = ScaledTranslation(apart_pt * (number - (len(lines) - 1) / 2) / PT_PER_IN, 0, figure.dpi_scale_trans)
-        draw_optima(axes, scale, line, look, axes.transData + aside)
-    curves = [curve for line in lines for curve in line.curves]
-    shown_um = [size for curve in curves for size in (*closed_range(curve.optimum.interval_um, curve), curve.optimum.pitch_um)]
-    margin_um = MARGIN * max(max(shown_um) - min(shown_um), MARGIN * max(shown_um))
-    axes.set(ylabel="optimal pixel size (µm)", ylim=(min(shown_um) - margin_um, max(shown_um) + margin_um))
+        aside_in = apart_pt * (number - (len(lines) - 1) / 2) / PT_PER_IN
+        place = axes.transData + ScaledTranslation(aside_in, 0, figure.dpi_scale_trans)
+        draw_optima(axes, scale, line, look, place)
+    axes.set_ylabel(PIXEL_SIZE)
     axes.grid(alpha=0.25)
+    figure.suptitle(grid.title({}, len(lines), total, grid.scales), fontsize=SMALL_PT)
     if len(lines) > 1:
-        handles = [
-            Line2D([], [], label=literal(short(line.label)), ms=6, **look.line) for line, look in zip(lines, LOOKS, strict=False)
-        ]
-        columns = 2 if len(lines) > 2 else len(lines)
-        figure.legend(
-            handles=handles, frameon=False, fontsize=SMALL_PT, loc="outside lower center", ncols=columns, handlelength=LEGEND_LINE
-        )
-    caption = sentences(
-        f"Optimal pixel size against {scale.name}.",
-        "Bars: its 95 % interval.",
-        "Points of one value stand side by side." if len(lines) > 1 else "",
-        ARROW_MEANS,
-        f"Hollow: {NOT_FOUND}",
-        left_out,
-        without(grid.scales),
-    )
-    return Plate(name, caption, figure, grid.columns(curves) | optimum_columns(curves))
+        style: dict[str, Any] = {"frameon": False, "fontsize": SMALL_PT, "handlelength": LEGEND_LINE}
+        figure.legend(loc="outside lower center", ncols=2, **style)
+    curves = [curve for line in lines for curve in line.curves]
+    return figure, grid.columns(curves) | optimum_columns(curves)
 
 
 def draw_optima(axes: Axes, scale: Scale, line: Line, look: Look, place: Transform) -> None:
-    """Draw the optima of a line with their intervals, hollow if they are not known."""
+    """Draw the optima of a line with their intervals, hollow if they are not known; arrows at open ends."""
     from matplotlib.transforms import ScaledTranslation
 
-    sizes_um = np.array([curve.optimum.pitch_um for curve in line.curves])
     ends_um = np.array([closed_range(curve.optimum.interval_um, curve) for curve in line.curves])
-    is_open = np.array([[end is None for end in curve.optimum.interval_um] for curve in line.curves])
-    found = np.array([is_found(curve) for curve in line.curves])
-    if scale.numeric:
-        axes.plot(scale.places, sizes_um, lw=1.2, transform=place, **look.stroke)
-    axes.vlines(scale.places, *ends_um.T, lw=1.2, transform=place, color=look.colour)
-    style: dict[str, Any] = {"ls": "none", "mec": look.colour, "mew": 0.8}
-    for end, (arrow, way) in enumerate(ARROWS):
-        # Beyond the end of the sizes tried, where the point of the optimum may be.
-        outside = place + ScaledTranslation(0, way * ARROW_PT / PT_PER_IN, axes.figure.dpi_scale_trans)
-        for which, marker, size, where in ((is_open[:, end], arrow, ARROW_SIZE_PT, outside), (~is_open[:, end], "_", 5, place)):
-            if which.any():
-                at = scale.places[which], ends_um[which, end]
-                axes.plot(*at, marker=marker, mfc=look.colour, ms=size, transform=where, **style)
-    for which, face in ((found, look.colour), (~found, "white")):
-        if which.any():
-            axes.plot(scale.places[which], sizes_um[which], marker=look.marker, mfc=face, ms=6, transform=place, **style)
+    joined = look.stroke if scale.numeric else {"color": look.colour, "ls": "none"}
+    style: dict[str, Any] = joined | {"marker": look.marker, "ms": 6, "lw": 1.2}
+    axes.plot(scale.places, line.optima_um, label=literal(short(line.label)), transform=place, **style)
+    bars_um = np.abs(ends_um.T - line.optima_um)
+    axes.errorbar(scale.places, line.optima_um, bars_um, fmt="none", ecolor=look.colour, capsize=2.5, transform=place)
+    for x, curve, ends in zip(scale.places, line.curves, ends_um, strict=True):
+        if not curve.optimum.inside:
+            hollow: dict[str, Any] = {"ms": 6, "mec": look.colour, "mfc": "white", "zorder": 5}
+            axes.plot(x, curve.optimum.pitch_um, look.marker, transform=place, **hollow)
+        for end, arrow, way in (0, "v", -1), (1, "^", 1):
+            if curve.optimum.interval_um[end] is None:
+                beyond = place + ScaledTranslation(0, way * ARROW_PT / PT_PER_IN, axes.figure.dpi_scale_trans)
+                axes.plot(x, ends[end], arrow, ms=5, color=look.colour, transform=beyond, clip_on=False)
+    axes.update_datalim([(x, end_um) for x, ends in zip(scale.places, ends_um, strict=True) for end_um in ends])
+    axes.autoscale_view(scalex=False)
 
 
-@own_style()
-def map_along(grid: Grid, scale: Scale, name: str) -> Plate:
-    """Plot the fitted mean ΔE over pixel size and axis, with the optimum, its 1 % valley and the lens's limit."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.collections import PolyCollection
-    from matplotlib.lines import Line2D
-
-    held, held_words = grid.middle([scale])
-    lines, left_out = grid.lines(scale, [], held, MAX_PANELS, "panels")
-    curves = [curve for line in lines for curve in line.curves]
-    low_um, high_um = min(curve.fit.pitch_um[0] for curve in curves), max(curve.fit.pitch_um[-1] for curve in curves)
-    metric = curves[0].metric
-    fitted = [metric.of_loss(curve.fit.delta_e) for curve in curves]
-    ends = min(float(values.min()) for values in fitted), max(float(values.max()) for values in fitted)
-    levels, norm = colour_scale(*ends)
-    valley = "error" if curves[0].judged_by_delta_e else "value"
-    figure, panels = panel_grid(len(lines), 2.5)
-    for line, axes in zip(lines, panels, strict=True):
-        boxes, values = [], []
-        for left, right, curve in zip(scale.edges, scale.edges[1:], line.curves, strict=False):
-            for bottom_um, top_um, band in bands(curve, levels):
-                boxes.append([(left, bottom_um), (right, bottom_um), (right, top_um), (left, top_um)])
-                values.append(levels[band : band + 2].mean())
-        cells = PolyCollection(boxes, array=np.array(values), cmap="viridis", norm=norm, edgecolors="face", linewidths=0.3)
-        axes.add_collection(cells)
-        axes.set(yscale="log", ylim=(low_um, high_um), title=literal(short(line.label)))
-        axes.title.set_fontsize(SMALL_PT + 1)
-        draw_sizes(axes.yaxis, low_um, high_um)
-        scale.draw_on(axes, 60 // min(len(lines), 2))
-        draw_ridge(axes, scale, line)
-    columns = min(len(lines), 2)
-    for place, axes in enumerate(panels):
-        if place % columns == 0:
-            axes.set_ylabel("pixel size (µm)")
-        else:
-            axes.tick_params(labelleft=False)
-        if place + columns < len(panels):  # there is a panel below
-            axes.set_xlabel("")
-            axes.tick_params(labelbottom=False)
-    bar = figure.colorbar(
-        ScalarMappable(norm, "viridis"), ax=panels, label=map_label(metric), ticks=round_numbers(*levels[[0, -1]]), format="%.3g"
-    )
-    bar.ax.minorticks_off()
-    cutoff_um = np.concatenate([line.cutoff_um for line in lines])
-    limits_um = cutoff_um, np.concatenate([line.doubtful_um for line in lines])
-    in_view = [True, True, *(bool(((sizes >= low_um) & (sizes <= high_um)).any()) for sizes in limits_um)]
-    shown = [each for each, seen in zip(RIDGE, in_view, strict=True) if seen]
-    handles = [Line2D([], [], label=label.replace("error", valley), **style, **haloed(halo)) for label, style, halo in shown]
-    figure.legend(
-        handles=handles, fontsize=SMALL_PT, loc="outside lower center", ncols=3, facecolor="0.75", handlelength=LEGEND_LINE
-    )
-    caption = sentences(
-        f"Fitted {metric.words} over pixel size and {scale.name}, with the optimum and the sizes within 1 % of its {valley}.",
-        f"The lens's cut-off is λ/(4 sin α) at {CUTOFF_NM:g} nm.",
-        f"Hollow points: {NOT_FOUND}",
-        held_words,
-        left_out,
-        without([scale]),
-    )
-    return Plate(name, caption, figure, map_table(grid, lines))
-
-
-# The optimum, the 1 % valley, and the limits of the lens and of the microlenses' model: label, style, and colour of the halo that
-# makes it visible on any colour.
-RIDGE: tuple[tuple[str, dict[str, Any], str], ...] = (
-    ("optimum", {"color": "white", "ls": "-", "lw": 1.4, "marker": "o", "ms": 4.5, "mec": "white", "mfc": "black"}, "black"),
-    ("within 1 % of its error", {"color": "white", "ls": (0, (4, 2)), "lw": 1.2}, "black"),
-    ("Nyquist frequency = lens's cut-off", {"color": "black", "ls": (0, (1, 1.2)), "lw": 1.8}, "white"),
-    ("microlens: Fresnel number 1", {"color": "black", "ls": "-", "lw": 1.0}, "white"),
+@figure(
+    "map_by_pitch_and_axis",
+    "The study's first metric over pixel size and an axis, from the fitted curves; contours at equal steps of the colours. Points: "
+    "the best size, hollow where it is not known: at an end of the sizes tried, or where the film cannot tell sizes apart.",
 )
+def map_along(grid: Grid, scale: Scale) -> Drawing:
+    """Draw the fitted metric over pixel size and axis, with the optimum, a panel for each technology and condition."""
+    held = grid.middle([scale])
+    lines, total = grid.lines(scale, [], held, MAX_PANELS)
+    curves = [curve for line in lines for curve in line.curves]
+    low_um = min(curve.fit.pitch_um[0] for curve in curves)
+    high_um = max(curve.fit.pitch_um[-1] for curve in curves)
+    sizes = Scale("pixel size", tuple(np.geomspace(low_um, high_um, MAP_SIZES).tolist()), "µm", log=True)
+    maps = [np.transpose([fitted_at(curve, sizes.places) for curve in line.curves]) for line in lines]
+    metric = curves[0].metric
+    label = literal(f"{metric.words} ({metric.unit})" if metric.unit else metric.words)
+
+    figure, panels = panel_grid(len(lines))
+    contours = maps if scale.numeric and len(scale.values) > 1 else None
+    draw_maps(figure, panels, scale, sizes, maps, contours, label=label)
+    for line, axes in zip(lines, panels, strict=True):
+        axes.set_title(literal(short(line.label)), fontsize=SMALL_PT + 1)
+        axes.set_ylim(low_um, high_um)
+        plain_powers(axes.yaxis)
+        axes.plot(scale.places, line.optima_um, color="white", lw=1.4 if scale.numeric else 0.0)
+        for x, size_um, inside in zip(scale.places, line.optima_um, line.inside, strict=True):
+            face, edge = ("black", "white") if inside else ("white", "black")
+            axes.plot(x, size_um, "o", ms=4.5, mfc=face, mec=edge, clip_on=False, zorder=5)
+    figure.suptitle(grid.title(held, len(lines), total, [scale]), fontsize=SMALL_PT)
+    return figure, map_table(grid, lines, sizes.places)
 
 
-def map_label(metric: Metric) -> str:
-    """Return a metric's name and unit beside the colours of a map."""
-    return literal(f"{metric.words} ({metric.unit})" if metric.unit else metric.words)
+def fitted_at(curve: Curve, pitch_um: Array) -> Array:
+    """Return the fitted first metric at pixel sizes; NaN beyond those of the curve."""
+    values = curve.metric.of_loss(curve.fit.delta_e)
+    return np.interp(np.log(pitch_um), np.log(curve.fit.pitch_um), values, left=np.nan, right=np.nan)
 
 
-def haloed(colour: str) -> dict[str, Any]:
-    """Return Matplotlib's keyword for a line with a halo."""
-    from matplotlib.patheffects import withStroke
-
-    return {"path_effects": [withStroke(linewidth=2.6, foreground=colour)]}
-
-
-def draw_ridge(axes: Axes, scale: Scale, line: Line) -> None:
-    """Draw the optimum, the 1 % valley and the limits over a map: lines along numbers, a step for each category."""
-    within_um = np.array([closed_range(curve.optimum.within_1_percent_um, curve) for curve in line.curves])
-    sizes_um = np.array([curve.optimum.pitch_um for curve in line.curves])
-    (_, ridge, halo), (_, valley, valley_halo), (_, limit, limit_halo), (_, doubt, doubt_halo) = RIDGE
-    line_only = {key: value for key, value in ridge.items() if not key.startswith("m")}
-    for sizes, style, around in (
-        (sizes_um, line_only, halo),
-        *((edge_um, valley, valley_halo) for edge_um in within_um.T),
-        (line.cutoff_um, limit, limit_halo),
-        (line.doubtful_um, doubt, doubt_halo),
-    ):
-        if scale.numeric:
-            across = scale.edges if len(sizes) == 1 else scale.places
-            up = np.repeat(sizes, 2) if len(sizes) == 1 else sizes
-        else:  # NaN between categories breaks the line
-            across = np.stack([scale.edges[:-1], scale.edges[1:], scale.edges[1:]], axis=1).ravel()
-            up = np.stack([sizes, sizes, np.full(len(sizes), np.nan)], axis=1).ravel()
-        axes.plot(across, up, **style, **haloed(around))
-    found = np.array([is_found(curve) for curve in line.curves])
-    for which, face, edge in ((found, "black", "white"), (~found, "white", "black")):
-        if which.any():
-            points: dict[str, Any] = {
-                "ls": "none",
-                "marker": "o",
-                "ms": 5 if found.size <= MAX_VALUES / 2 else 3,
-                "mfc": face,
-                "mec": edge,
-                "clip_on": False,
-                "zorder": 5,
-            }
-            axes.plot(scale.places[which], sizes_um[which], **points)
-
-
-def bands(curve: Curve, levels: Array) -> list[tuple[float, float, int]]:
-    """Return the ranges of pitch (low, high) in which the fitted curve lies between two levels, with the lower level's place."""
-    pitch_um, values = curve.fit.pitch_um, curve.metric.of_loss(curve.fit.delta_e)
-    band = np.clip(np.searchsorted(levels, values, side="right") - 1, 0, len(levels) - 2)
-    starts = np.concatenate([[0], np.flatnonzero(np.diff(band)) + 1, [band.size - 1]])
-    return [(float(pitch_um[low]), float(pitch_um[high]), int(band[low])) for low, high in pairwise(starts) if high > low]
-
-
-def colour_scale(low: float, high: float) -> tuple[Array, Normalize]:
-    """Return the borders of `BANDS` colours, and the scale of the colours: logarithmic if the values span a factor of 2."""
-    from matplotlib.colors import LogNorm, Normalize
-
-    half = LEAST_SPAN / 2 * abs(low + high) / 2 or 0.5  # else rounding errors would have all colours
-    middle, least = (low + high) / 2, min(low, 0.0)  # no error is below 0
-    low, high = max(min(low, middle - half), least), max(high, middle + half)
-    if is_wide(low, high):
-        return np.geomspace(low, high, BANDS + 1), LogNorm(low, high)
-    return np.linspace(low, high, BANDS + 1), Normalize(low, high)
-
-
-def is_wide(low: float, high: float) -> bool:
-    """Return whether values span a factor of 2, so that their scale is logarithmic."""
-    return low > 0 and high >= 2 * low
-
-
-def round_numbers(low: float, high: float) -> Array:
-    """Return up to `MOST_TICKS` round numbers from low to high, at about equal ratios if these span a factor of 2."""
-    from matplotlib.ticker import MaxNLocator
-
-    numbers = np.asarray(MaxNLocator(MOST_TICKS - 1, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high), float)
-    if is_wide(low, high):
-        decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-        for mantissas in ROUND:
-            numbers = np.array([mantissa * 10.0**decade for decade in decades for mantissa in mantissas])
-            numbers = numbers[(numbers >= low) & (numbers <= high)]
-            if numbers.size <= MOST_TICKS:
-                break
-    numbers = numbers[(numbers >= low) & (numbers <= high)]
-    return numbers[:: -(-numbers.size // MOST_TICKS) or 1]
-
-
-def draw_sizes(axis: YAxis, low_um: float, high_um: float) -> None:
-    """Label a logarithmic axis of pixel sizes with plain numbers, at least three of them."""
-    from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
-
-    ticks = np.array([])
-    for mantissas in ((1, 2, 5), (1, 1.5, 2, 3, 4, 5, 7), (1, 1.25, 1.5, 1.75, 2, 2.5, 3, 3.5, 4, 5, 6, 7, 8, 9)):
-        ticks = np.array([mantissa * 10.0**decade for decade in range(-4, 7) for mantissa in mantissas])
-        ticks = ticks[(ticks >= low_um) & (ticks <= high_um)]
-        if ticks.size > 2:
-            break
-    if ticks.size < 3:
-        ticks = np.asarray(MaxNLocator(4).tick_values(low_um, high_um), float)
-    axis.set_major_locator(FixedLocator(ticks.tolist()))
-    axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-
-
-def panel_grid(number: int, height_in: float) -> tuple[Figure, list[Axes]]:
-    """Return a figure with that many panels in up to two columns; a single one is taller."""
-    columns = min(number, 2)
-    rows = -(-number // columns)
-    figure = new_figure(WIDTH_IN, 1.0 + (height_in * rows if number > 1 else 3.2))
-    grid = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
-    for unused in grid[number:]:
-        figure.delaxes(unused)
-    return figure, grid[:number]
-
-
-def map_table(grid: Grid, lines: Sequence[Line]) -> dict[str, Column]:
-    """Return a row for each curve and 41 of its pitches, with the optimum, its 1 % valley and the lens's limit."""
-    curves: list[Curve] = []
-    pitch_um: list[float] = []
-    values: list[float] = []
-    cutoffs_um: list[float] = []
-    for line in lines:
-        for curve, cutoff_um in zip(line.curves, line.cutoff_um.tolist(), strict=True):
-            own_um = curve.fit.pitch_um[::MAP_STEP].tolist()
-            curves += [curve] * len(own_um)
-            pitch_um += own_um
-            values += curve.metric.of_loss(curve.fit.delta_e[::MAP_STEP]).tolist()
-            cutoffs_um += [cutoff_um] * len(own_um)
-    more: dict[str, Column] = {
-        "pitch_um": pitch_um,
+def map_table(grid: Grid, lines: Sequence[Line], pitch_um: Array) -> dict[str, Column]:
+    """Return a row for each curve and pixel size, with the optimum, its 1 % valley and the lens's limit."""
+    curves = [curve for line in lines for curve in line.curves for _ in pitch_um]
+    cutoffs_um = [cutoff_pitch_um(camera) for line in lines for camera in line.cameras for _ in pitch_um]
+    sizes_um = [size_um for line in lines for _ in line.curves for size_um in pitch_um.tolist()]
+    values = [value for line in lines for curve in line.curves for value in fitted_at(curve, pitch_um).tolist()]
+    return {
+        **grid.columns(curves),
+        "pitch_um": sizes_um,
         curves[0].metric.columns[0]: values,
         "optimum_um": [curve.optimum.pitch_um for curve in curves],
         "inside": [str(curve.optimum.inside) for curve in curves],
         **range_columns("within_1_percent", curves),
         "cutoff_pitch_um": cutoffs_um,
-        **fresnel_column(curves, pitch_um),
+        **fresnel_column(curves, sizes_um),
     }
-    return grid.columns(curves) | more
 
 
-@own_style()
-def map_of_two(grid: Grid, across: Scale, up: Scale, name: str) -> Plate:
-    """Plot the optimum and the least mean ΔE over two axes, a pair of maps for each technology and condition."""
-    held, held_words = grid.middle([across, up])
-    rows: list[tuple[str, list[Line]]] = []
-    left_out = ""
-    for value in up.values:
-        lines, left_out = grid.lines(across, [], {**held, up.name: value}, MAX_ROWS, "pairs of maps")
-        rows = rows or [(line.label, []) for line in lines]
-        for (_, stacked), line in zip(rows, lines, strict=True):
-            stacked.append(line)
-    blocks = [(label, [curve for line in stacked for curve in line.curves]) for label, stacked in rows]
-    best = blocks[0][1][0].metric.best
-    figure = new_figure(WIDTH_IN, 0.5 + 2.4 * len(blocks))
-    panels = figure.subplots(len(blocks), 2, squeeze=False)
-    numbers: tuple[tuple[str, str, Callable[[Curve], float], Callable[[Curve], str]], ...] = (
-        ("optimal pixel size (µm)", "cividis", optimum_um, cell_words),
-        (best, "viridis", best_value, lambda curve: three_digits(best_value(curve))),
-    )
-    for row, (label, own) in zip(panels, blocks, strict=True):
-        for axes, (title, colours, number, words) in zip(row, numbers, strict=True):
-            draw_cells(axes, own, (len(up.values), len(across.values)), number, words, colours)
-            axes.set_title("\n".join(filter(None, (literal(short(label)), title))), fontsize=SMALL_PT + 1)
-            draw_labels(axes.xaxis, across.ticks, 36)
-            draw_labels(axes.yaxis, up.ticks, 36)
-            axes.set(xlabel=across.label, ylabel=up.label)
-    curves = [curve for _, own in blocks for curve in own]
-    caption = sentences(
-        f"Optimal pixel size and {best} over {across.name} and {up.name}.",
-        f"Hatched: {NOT_FOUND}",
-        held_words,
-        left_out,
-        without([across, up]),
-    )
-    return Plate(name, caption, figure, grid.columns(curves) | optimum_columns(curves))
-
-
-def optimum_um(curve: Curve) -> float:
-    """Return the best pixel size of a curve."""
-    return curve.optimum.pitch_um
-
-
-def best_value(curve: Curve) -> float:
-    """Return the best value of a curve's first metric, such as the least mean ΔE."""
-    return curve.optimum.value
-
-
-def three_digits(value: float) -> str:
-    """Return a number to three digits, with zeros at its end."""
-    return f"{value:#.3g}".rstrip(".")
-
-
-def cell_words(curve: Curve) -> str:
-    """Return the optimum as in a cell of a map."""
-    best = curve.optimum
-    sign = "" if best.inside else "≤" if best.pitch_um <= curve.fitted_range_um[0] else "≥"
-    return sign + three_digits(best.pitch_um)
-
-
-def draw_cells(
-    axes: Axes,
-    curves: Sequence[Curve],
-    shape: tuple[int, int],
-    number: Callable[[Curve], float],
-    words: Callable[[Curve], str],
-    colours: str,
-) -> None:
-    """Draw a number of each curve as a map, hatched where it is not known, with the numbers in the cells, or else a colour bar."""
+@figure(
+    "optimum_by_two_axes",
+    "Optimal pixel size over two axes. Contours, and the second number of a cell: the best value of the study's first metric, such "
+    "as the least mean ΔE. Hatched: the best size is not known, since it is at an end of the sizes tried or the film cannot tell "
+    "sizes apart.",
+)
+def map_of_two(grid: Grid, across: Scale, up: Scale) -> Drawing:
+    """Draw the optimum over two axes, with contours of the best value, a panel for each technology and condition."""
     from matplotlib.patches import Rectangle
 
-    values = np.array([number(curve) for curve in curves]).reshape(shape)
-    middle, half = (values.max() + values.min()) / 2, np.ptp(values) / 2
-    half = max(half, LEAST_SPAN * abs(middle) / 2)  # else rounding errors would have all colours
-    image = axes.imshow(values, cmap=colours, aspect="auto", origin="lower", vmin=middle - half, vmax=middle + half)
-    texts = [words(curve) for curve in curves]
-    longest_pt = CELL_PT * max(sum(NARROW if character in ". " else WIDE for character in text) for text in texts)
-    fit = 1.1 * longest_pt < CELLS_PT[0] / shape[1] and CELLS_PT[1] / shape[0] > 1.6 * CELL_PT
-    if not fit:
-        axes.figure.colorbar(image, ax=axes, format="%.4g")
-    for place, (curve, text) in enumerate(zip(curves, texts, strict=True)):
-        down, right = divmod(place, shape[1])
-        red, green, blue, _ = image.cmap(image.norm(values[down, right]))
-        ink, paper = ("black", "white") if 0.2126 * red + 0.7152 * green + 0.0722 * blue > 0.45 else ("white", "black")
-        if not is_found(curve):
-            axes.add_patch(Rectangle((right - 0.5, down - 0.5), 1, 1, fill=False, hatch="////", ec=ink, lw=0, alpha=0.6))
-        if fit:
-            box = {"facecolor": paper, "alpha": 0.0 if is_found(curve) else 0.6, "edgecolor": "none", "pad": 1}
-            axes.text(right, down, text, ha="center", va="center", fontsize=CELL_PT, color=ink, bbox=box)
+    held = grid.middle([across, up])
+    rows = [grid.lines(across, [], {**held, up.name: value}, MAX_PANELS) for value in up.values]
+    panels_of_curves = [[line.curves for line in stacked] for stacked in zip(*(lines for lines, _ in rows), strict=True)]
+    labels = [line.label for line in rows[0][0]]
+    maps = [np.array([[curve.optimum.pitch_um for curve in row] for row in block]) for block in panels_of_curves]
+    values = [np.array([[curve.optimum.value for curve in row] for row in block]) for block in panels_of_curves]
+
+    figure, panels = panel_grid(len(labels))
+    numbered = max(len(across.values), len(up.values)) <= NUMBERED_CELLS
+    contours = values if across.numeric and up.numeric and not numbered else None
+    draw_maps(figure, panels, across.categories, up.categories, maps, contours, label=PIXEL_SIZE)
+    for axes, label, block in zip(panels, labels, panels_of_curves, strict=True):
+        axes.set_title(literal(short(label)), fontsize=SMALL_PT + 1)
+        for (y, x), curve in np.ndenumerate(np.array(block, object)):
+            if not curve.optimum.inside:
+                axes.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, fill=False, hatch="////", ec="white", lw=0))
+            if numbered:
+                text = f"{curve.optimum.pitch_um:.2f}\n{curve.optimum.value:.3g}"
+                axes.text(x, y, text, ha="center", va="center", fontsize=CELL_PT, bbox=ON_CELL)
+    figure.suptitle(grid.title(held, len(labels), rows[0][1], [across, up]), fontsize=SMALL_PT)
+    curves = [curve for block in panels_of_curves for row in block for curve in row]
+    return figure, grid.columns(curves) | optimum_columns(curves)
+
+
+def panel_grid(number: int) -> tuple[Figure, list[Axes]]:
+    """Return a figure with that many panels in up to two columns; a single one is taller."""
+    columns = min(number, 2)
+    rows = -(-number // columns)
+    figure = new_figure(WIDTH_IN, 0.8 + (2.5 * rows if number > 1 else 3.2))
+    axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel().tolist()
+    for unused in axes[number:]:
+        figure.delaxes(unused)
+    return figure, axes[:number]
+
+
+def draw_maps(
+    figure: Figure,
+    panels: Sequence[Axes],
+    across: Scale,
+    up: Scale,
+    maps: Sequence[Array],
+    contours: Sequence[Array] | None,
+    label: str,
+) -> None:
+    """Draw maps over two axes on one scale of colours, which is logarithmic if the values span a factor of 10.
+
+    maps : (up, across) of each panel; NaN where nothing is known
+    contours : (up, across) of each panel, numbers whose contours are drawn; None for none
+    label : of the colours
+    """
+    from matplotlib.colors import LogNorm, Normalize
+
+    low, high = float(np.nanmin(maps)), float(np.nanmax(maps))
+    if high - low < LEAST_SPAN * abs(high):  # else rounding errors would have all colours
+        low, high = low - LEAST_SPAN * abs(high), high + LEAST_SPAN * abs(high)
+    is_wide = 0 < LOG_SPAN * low <= high
+    norm = LogNorm(low, high) if is_wide else Normalize(low, high)
+
+    for axes, values in zip(panels, maps, strict=True):
+        across.draw_on(axes.xaxis, 60 // min(len(panels), 2))
+        up.draw_on(axes.yaxis, 36)
+        cells = axes.pcolormesh(across.edges, up.edges, values, norm=norm, rasterized=True)
+        axes.label_outer()
+    bar = figure.colorbar(cells, ax=panels, label=label)
+    if is_wide:
+        plain_powers(bar.ax.yaxis)
+    if contours is not None and (least := float(np.nanmin(contours))) < (most := float(np.nanmax(contours))):
+        levels = np.geomspace(least, most, CONTOURS + 2) if least > 0 else np.linspace(least, most, CONTOURS + 2)
+        for axes, heights in zip(panels, contours, strict=True):
+            axes.contour(across.places, up.places, heights, levels[1:-1], colors="white", linewidths=0.6, alpha=0.7)
+
+
+# --- axes moved alone ------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -795,62 +577,83 @@ class Group:
     base: Curve
     moved: dict[str, list[Curve]]
 
+    def width_um(self, axis: str) -> float:
+        """Return how far an axis moves the optimum."""
+        sizes_um = [curve.optimum.pitch_um for curve in (self.base, *self.moved[axis])]
+        return max(sizes_um) - min(sizes_um)
 
-@own_style()
+
 def alone_plate(result: CasesResult) -> Plate | None:
-    """Plot the optimum and the least mean ΔE of each axis that is moved alone about the base, the widest first; None without such.
+    """Return the figure of the axes that are moved alone about the base; None without such."""
+    names = [axis.name for axis in result.study.axis if axis.alone]
+    return tornado(result, alone_groups(result, names)) if names and bases_of(result) else None
 
-    Panels for technologies and conditions.
-    """
+
+@figure(
+    "tornado",
+    "Each axis moved alone about the base (vertical line, grey: its 95 % interval); the widest bar, which moves the optimum most, "
+    "comes first. Hollow points: the best size is not known, since it is at an end of the sizes tried or the film cannot tell "
+    "sizes apart.",
+)
+def tornado(result: CasesResult, groups: Sequence[Group]) -> Drawing:
+    """Draw the optimum and the best value of each axis that is moved alone, a row of panels for each group."""
     scales = [Scale.of(axis) for axis in result.study.axis if axis.alone]
-    if not scales or not bases_of(result):
-        return None
-    groups, left_out = alone_groups(result, [scale.name for scale in scales])
-
-    def width(scale: Scale) -> float:
-        sizes = [[curve.optimum.pitch_um for curve in (group.base, *group.moved[scale.name])] for group in groups]
-        return max(max(own) - min(own) for own in sizes)
-
-    scales.sort(key=width, reverse=True)
+    scales.sort(key=lambda scale: max(group.width_um(scale.name) for group in groups), reverse=True)
     names = [scale.name for scale in scales]
-    labels = [
-        "\n".join(filter(None, (literal(short(scale.name, SHORT_TICK)), scale.unit and f"({scale.unit})"))) for scale in scales
-    ]
     figure = new_figure(WIDTH_IN, (0.46 * len(names) + 1.1) * len(groups))
     panels = figure.subplots(len(groups), 2, squeeze=False, sharey=True)
-    for (left, right), group in zip(panels, groups, strict=True):
-        for row, name in enumerate(names):
-            draw_moves(left, row, group, name, optimum_um)
-            draw_moves(right, row, group, name, best_value)
+    for row, group in zip(panels, groups, strict=True):
         best = group.base.optimum
-        for axes, base, (low, high) in (
-            (left, best.pitch_um, closed_range(best.interval_um, group.base)),
-            (right, best.value, best.value_interval),
-        ):
+        ends = closed_range(best.interval_um, group.base), best.value_interval
+        for axes, quantity, (low, high) in zip(row, ("pitch_um", "value"), ends, strict=True):
+            for place, name in enumerate(names):
+                draw_moves(axes, place, group, name, quantity)
             axes.axvspan(low, high, color="0.5", alpha=0.15, lw=0)
-            axes.axvline(base, color="0.2", lw=1)
+            axes.axvline(getattr(best, quantity), color="0.2", lw=1)
             axes.grid(axis="x", alpha=0.25)
-            axes.use_sticky_edges = False
-            axes.margins(x=0.15)
-            low, high = axes.get_xlim()
-            missing = max(0.0, LEAST_SPAN * abs(base) - (high - low)) / 2  # else rounding errors would look like moves
-            axes.set_xlim(low - missing, high + missing)
+            widen(axes, getattr(best, quantity))
             axes.set_title(literal(short(group.label)), fontsize=SMALL_PT + 1)
-        left.set_yticks(range(len(names)), labels)
-        left.set_ylim(len(names) - 0.4, -0.6)
-    for axes, label in zip(panels[-1], ("optimal pixel size (µm)", literal(groups[0].base.metric.best)), strict=True):
+        units = [f"\n({scale.unit})" if scale.unit else "" for scale in scales]
+        row[0].set_yticks(
+            range(len(names)), [literal(short(name, SHORT_TICK)) + unit for name, unit in zip(names, units, strict=True)]
+        )
+        row[0].set_ylim(len(names) - 0.4, -0.6)
+    for axes, label in zip(panels[-1], (PIXEL_SIZE, literal(groups[0].base.metric.best)), strict=True):
         axes.set_xlabel(label)
-    curves = [curve for group in groups for curve in (group.base, *(each for name in names for each in group.moved[name]))]
-    caption = sentences(
-        "Each axis moved alone about the base (vertical line, grey: its 95 % interval).",
-        "The axis with the widest bar moves the optimum most.",
-        f"Hollow points: {NOT_FOUND}",
-        left_out,
-    )
+
+    curves = [curve for group in groups for curve in (group.base, *(moved for name in names for moved in group.moved[name]))]
     table: dict[str, Column] = case_columns(result, curves, [])
     table["axis"] = [curve.alone or BASE for curve in curves]
     table["value"] = [curve.at[curve.alone] if curve.alone else BASE for curve in curves]
-    return Plate("tornado", caption, figure, table | optimum_columns(curves))
+    return figure, table | optimum_columns(curves)
+
+
+def widen(axes: Axes, base: float) -> None:
+    """Leave room for labels beside the bars, and let the axis span a few per cent: rounding errors would look like moves."""
+    axes.use_sticky_edges = False
+    axes.margins(x=0.15)
+    low, high = axes.get_xlim()
+    missing = max(0.0, LEAST_SPAN * abs(base) - (high - low)) / 2
+    axes.set_xlim(low - missing, high + missing)
+
+
+def draw_moves(axes: Axes, row: int, group: Group, name: str, quantity: str) -> None:
+    """Draw a bar from the lowest to the highest value of an axis, including the base, with labels at its ends.
+
+    quantity : of the optimum, which is drawn: "pitch_um" or "value"
+    """
+    points = sorted(((getattr(curve.optimum, quantity), curve) for curve in group.moved[name]), key=lambda point: point[0])
+    values = [getattr(group.base.optimum, quantity), *(value for value, _ in points)]
+    axes.barh(row, max(values) - min(values), left=min(values), height=0.5, color=COLOURS[0], alpha=0.25)
+    for value, curve in points:
+        is_hollow = quantity == "pitch_um" and not curve.optimum.inside
+        axes.plot(value, row, "o", ms=4.5, color=COLOURS[0], mfc="white" if is_hollow else COLOURS[0])
+    ends = points if len(points) < 3 else [points[0], points[-1]]
+    for place, (value, curve) in enumerate(ends):
+        at = curve.at[name]
+        text = literal(short(at, SHORT_TICK)) if isinstance(at, str) else f"{at:.4g}"
+        offset = (0, 7) if place else (0, -13)
+        axes.annotate(text, (value, row), offset, textcoords="offset points", fontsize=CELL_PT, ha="center")
 
 
 def bases_of(result: CasesResult) -> dict[str, StudyResult]:
@@ -858,17 +661,15 @@ def bases_of(result: CasesResult) -> dict[str, StudyResult]:
     return {part.curves[0].condition: part for part in result.parts if set(part.curves[0].at.values()) == {BASE}}
 
 
-def alone_groups(result: CasesResult, names: Sequence[str]) -> tuple[list[Group], str]:
-    """Return the curves about the base, a group for each technology and condition, and what is left out."""
+def alone_groups(result: CasesResult, names: Sequence[str]) -> list[Group]:
+    """Return the curves about the base, a group for each technology and condition, evenly chosen where there are many."""
     bases = bases_of(result)
     moved: dict[tuple[str, str], list[StudyResult]] = {}
     for part in result.parts:
         moved.setdefault((part.curves[0].condition, part.curves[0].alone), []).append(part)
-    first = next(iter(bases.values()))
-    technologies = [curve.technology for curve in first.curves]
+    technologies = [curve.technology for curve in next(iter(bases.values())).curves]
     labels = labels_of(technologies)
-    sizes = [len(labels), len(bases)]
-    counts = fewer(sizes, max(1, min(MAX_ROWS, MAX_BARS // len(names))))
+    counts = fewer([len(labels), len(bases)], max(1, min(MAX_ROWS, MAX_BARS // len(names))))
     places = evenly(range(len(labels)), counts[0])
     if result.study.paper and REFERENCE_TECHNOLOGY in technologies and len(places) == 1:
         places = [technologies.index(REFERENCE_TECHNOLOGY)]
@@ -877,42 +678,19 @@ def alone_groups(result: CasesResult, names: Sequence[str]) -> tuple[list[Group]
     for place, condition in product(places, evenly(list(bases), counts[1])):
         words = [labels[place]] if len(labels) > 1 else []
         words += [condition] if len(bases) > 1 else []
-        base, own = bases[condition], {}
+        curves = {}
         for name in names:
             parts = moved.get((condition, name), [])  # all of them may be left out
-            parts = touching(parts, base, technologies[place]) if name in of_process else parts
-            own[name] = [part.curves[min(place, len(part.curves) - 1)] for part in parts]  # one of an axis over technologies
-        groups.append(Group(", ".join(words), base.curves[place], own))
-    total = math.prod(sizes)
-    one = "One of {} technologies is shown." if len(bases) == 1 else "One of {} panels is shown."
-    left_out = one.format(total) if len(groups) == 1 else f"{len(groups)} of {total} panels are shown, evenly chosen."
-    return groups, left_out if len(groups) < total else ""
+            parts = touching(parts, bases[condition], technologies[place]) if name in of_process else parts
+            curves[name] = [part.curves[min(place, len(part.curves) - 1)] for part in parts]  # one of an axis over technologies
+        groups.append(Group(", ".join(words), bases[condition].curves[place], curves))
+    return groups
 
 
 def touching(parts: Sequence[StudyResult], base: StudyResult, technology: str) -> list[StudyResult]:
     """Return the cases that change a technology's numbers, each of its changes once."""
-    kept: dict[str, StudyResult] = {}
+    changes: dict[str, StudyResult] = {}
     for part in parts:
-        kept.setdefault(content_hash(of_technology(part.study, technology)), part)
-    kept.pop(content_hash(of_technology(base.study, technology)), None)
-    return list(kept.values())
-
-
-def draw_moves(axes: Axes, row: int, group: Group, name: str, number: Callable[[Curve], float]) -> None:
-    """Draw a bar from the lowest to the highest value of an axis, including the base, with labels at its ends.
-
-    number : of a curve, which is drawn: `optimum_um` or `best_value`
-    """
-    points = [(curve, number(curve)) for curve in group.moved[name]]
-    values = [number(group.base), *(value for _, value in points)]
-    axes.barh(row, max(values) - min(values), left=min(values), height=0.5, color=COLOURS[0], alpha=0.25)
-    for curve, value in points:
-        face = "white" if number is optimum_um and not is_found(curve) else COLOURS[0]
-        axes.plot(value, row, "o", ms=4.5, color=COLOURS[0], mfc=face)
-    points.sort(key=lambda point: point[1])
-    ends = points if len(points) < 3 else [points[0], points[-1]]
-    for place, (curve, value) in enumerate(ends):
-        at = curve.at[name]
-        text = literal(short(at, SHORT_TICK)) if isinstance(at, str) else f"{at:.4g}"
-        offset = (0, 7) if place else (0, -13)
-        axes.annotate(text, (value, row), offset, textcoords="offset points", fontsize=CELL_PT, ha="center")
+        changes.setdefault(content_hash(of_technology(part.study, technology)), part)
+    changes.pop(content_hash(of_technology(base.study, technology)), None)
+    return list(changes.values())

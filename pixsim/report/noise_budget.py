@@ -10,8 +10,8 @@ import numpy as np
 from pixsim.base.digits import rounded
 from pixsim.base.tables import Column
 from pixsim.show.document import DocumentTable, Plot, Section
-from pixsim.show.figures import COLOURS, finish, new_figure, own_style
-from pixsim.show.pages import Plate
+from pixsim.show.figures import COLOURS, finish, new_figure
+from pixsim.show.pages import Drawing, figure
 
 if TYPE_CHECKING:
     from pixsim.viewer.noise_budget import NoiseBudget
@@ -72,8 +72,12 @@ def budget_table(budgets: Mapping[str, NoiseBudget]) -> DocumentTable:
     return DocumentTable("noise budget", ("cause\n" if several else "cause", *heads), tuple(rows))
 
 
-@own_style()
-def budget_plate(budgets: Mapping[str, NoiseBudget]) -> Plate:
+@figure(
+    "noise_budget",
+    "Noise in electrons, and parts of the mean ΔE, by cause, each switched off from above to below, of up to six pixels. The table "
+    "has all pixels.",
+)
+def budget_plate(budgets: Mapping[str, NoiseBudget]) -> Drawing:
     """Draw what each cause takes off the mean ΔE, and the electrons of each cause of noise, as bars."""
     shown = dict(list(budgets.items())[:SHOWN])
     causes = list(dict.fromkeys(cause for budget in shown.values() for cause in budget.delta_e))
@@ -91,20 +95,7 @@ def budget_plate(budgets: Mapping[str, NoiseBudget]) -> Plate:
     finish(delta_e, "part of the mean ΔE", "", None)
     if len(shown) > 1:
         delta_e.legend(frameon=False, fontsize=8)
-    words = (f"{label}: {largest_words(budget)}" if len(budgets) > 1 else largest_words(budget) for label, budget in shown.items())
-    left = f" {len(shown)} of {len(budgets)} pixels are shown." if len(shown) < len(budgets) else ""
-    caption = f"{'; '.join(words)}. Noise in electrons and mean ΔE by cause, each switched off from above to below.{left}"
-    return Plate(NAME, caption[0].upper() + caption[1:], figure, budget_columns(budgets))
-
-
-def largest_words(budget: NoiseBudget) -> str:
-    """Return the largest causes of noise and of ΔE, as text."""
-    of_noise = max(budget.electrons_e, key=lambda cause: budget.electrons_e[cause])
-    of_picture = max(budget.delta_e, key=lambda cause: budget.delta_e[cause])
-    return (
-        f"most of the noise is {of_noise}, {rounded(budget.electrons_e[of_noise], 3)} of {rounded(budget.total_e, 3)} e-, and the "
-        f"largest part of the mean ΔE, {budget.delta_e[of_picture]:.3f} of {budget.mean_delta_e:.3f}, is {of_picture}"
-    )
+    return figure, budget_columns(budgets)
 
 
 def budgets_section(budgets: Mapping[str, NoiseBudget]) -> Section:

@@ -177,7 +177,7 @@ def figure_5(evidence: Evidence) -> Plate:
     result, curve = evidence.result, evidence.curves[REFERENCE_TECHNOLOGY]
     (score,) = result.shown_scores(curve.technology, FIGURE_5_PITCH_UM, 1)
     name = "figure_5_pictures_8um"
-    return numbered(study_pictures(result, curve, score, evidence.sensor_maps[FIGURE_5_PITCH_UM], name), 5, name)
+    return numbered(study_pictures(result, curve, score, evidence.sensor_maps[FIGURE_5_PITCH_UM]), 5, name)
 
 
 @own_style()

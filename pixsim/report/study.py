@@ -205,7 +205,8 @@ def draw_section(
         # A data sheet's sensor may have many millions of pixels: no more of them than the study simulated.
         count = SENSORS_SHOWN if result.study.own_um is None else min(SENSORS_SHOWN, result.sensors_at(curve.technology, pitch_um))
         scores = result.shown_scores(curve.technology, pitch_um, count)
-        plates = [study_pictures(result, curve, scores[0], [score.delta_e for score in scores], f"pictures_{curve.file_label}")]
+        plate = study_pictures(result, curve, scores[0], [score.delta_e for score in scores])
+        plates = [plate.named(f"pictures_{curve.file_label}")]
         views = study_views(result, curve, scores[0])
     elif section.kind == "more":
         plates = [other_statistics(result, first)] if first.judged_by_delta_e else []

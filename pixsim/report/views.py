@@ -19,10 +19,10 @@ from pixsim.show.figures import (
     draw_delta_e,
     draw_picture,
     label_axes,
+    literal,
     new_figure,
-    own_style,
 )
-from pixsim.show.pages import Plate, coarse_table
+from pixsim.show.pages import Drawing, coarse_table, figure
 from pixsim.show.pictures import (
     Picture,
     PictureAxes,
@@ -50,8 +50,12 @@ SENSORS_SHOWN = 8  # in mean maps
 LEAST = "least error tried"  # "best" is the optimum, which may lie between the sizes tried
 
 
-@own_style()
-def study_pictures(result: StudyResult, curve: Curve, score: FrameScore, maps: Sequence[Array], name: str) -> Plate:
+@figure(
+    "pictures",
+    "The ideal image, the picture of one sensor, its ΔE map, and curves of equal ΔE of the smoothed mean map of several sensors, "
+    "which is in the table.",
+)
+def study_pictures(result: StudyResult, curve: Curve, score: FrameScore, maps: Sequence[Array]) -> Drawing:
     """Show the ideal image, the image of one sensor, its ΔE map, and curves of equal ΔE of the mean map of several sensors."""
     mean, pitch_um = np.mean(maps, axis=0), score.physics.pitch_um
     smooth = scipy.ndimage.gaussian_filter(mean, ISO_SMOOTHING_DOTS, mode="nearest")
@@ -62,7 +66,7 @@ def study_pictures(result: StudyResult, curve: Curve, score: FrameScore, maps: S
     where = picture_axes(result.irradiance, score.border_um)
     ideal.set_title("ideal image")
     draw_picture(ideal, score.ideal, where)
-    image.set_title(f"image from {pitch_um:.2f} µm pixels")
+    image.set_title(literal(f"{curve.label}: image from {pitch_um:.2f} µm pixels"))
     draw_picture(image, score.image, where)
     map_.set_title(f"ΔE map, mean {score.mean_delta_e:.3f}")
     draw_delta_e(map_, figure.add_subplot(grid[1, 1]), score.delta_e, where, map_end(result))
@@ -71,12 +75,7 @@ def study_pictures(result: StudyResult, curve: Curve, score: FrameScore, maps: S
     levels = [level / 3, 2 * level / 3, level, 5 * level / 3]
     lines = [(value, look, 2.2 if value == level else 1, f"ΔE = {value:g}") for value, look in zip(levels, LOOKS, strict=False)]
     draw_iso(iso, where, smooth, lines)
-    caption = (
-        f"Pictures of {pitch_um:.2f} µm pixels ({curve.label}). Shown are the ideal image, the picture of one sensor, its ΔE map "
-        f"(colour scale 0 to {map_end(result):g}), and curves of equal ΔE, smoothed by {ISO_SMOOTHING_DOTS:g} dots; the table "
-        "holds the mean map."
-    )
-    return Plate(name, caption, figure, coarse_table(mean, "delta_e"))
+    return figure, coarse_table(mean, "delta_e")
 
 
 def draw_iso(

@@ -73,7 +73,7 @@ def every_plate(evidence: Evidence) -> dict[str, Plate]:
         delta_e_against_pitch(result, [curve]),
         delta_e_against_pitch(result, result.curves, "delta_e_against_pitch_all"),
         other_statistics(result, curve),
-        study_pictures(result, curve, scores[0], [score.delta_e for score in scores], "pictures_0.35um"),
+        study_pictures(result, curve, scores[0], [score.delta_e for score in scores]).named("pictures_0.35um"),
         optimum_against_technology(scaled(result)),
     ]
     return {plate.name: plate for plate in plates}
