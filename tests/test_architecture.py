@@ -28,7 +28,7 @@ ALLOWED = {
     "viewer": (*BELOW_SHOW, "show"),
     "studies": (*BELOW_SHOW, "scene", "show", "viewer"),
     "measure": (*BELOW_SHOW, "show", "viewer"),
-    "report": (*BELOW_SHOW, "show", "viewer", "studies", "measure"),
+    "report": (*BELOW_SHOW, "scene", "show", "viewer", "studies", "measure"),
     "explorer": (*BELOW_SHOW, "scene", "show", "viewer", "studies", "report"),
     "verification": (*BELOW_SHOW, "scene", "show", "viewer", "studies", "report"),
     "cli": (*BELOW_SHOW, "scene", "show", "viewer", "studies", "measure", "report", "explorer", "verification"),

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pixsim.base.records import Record
 from pixsim.optics.camera import Camera
 from pixsim.sensor.pixel_options import PixelOptions
-from pixsim.show.document import DocumentTable
+from pixsim.show.document import Block, DocumentTable, Section
 from pixsim.show.sentences import setting_value
 from pixsim.viewer.develop_options import OF_COLOUR_FRAMES
 from pixsim.viewer.setting import Setting
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 # Pixel options that select models of a process; a sensor given by its data sheet uses none of them.
 OF_A_PROCESS = frozenset({"capacitance", "well_limit", "conversion", "response", "fill_factor_law"})
 OF_COLOUR = frozenset({"adaptation", *OF_COLOUR_FRAMES})  # options of display and development for coloured pictures
+DEFAULTS = ("default", "")  # sources of what nobody stated
 Row = tuple[str, Any, str, str]  # setting, value, meaning, source
 
 
@@ -102,3 +104,14 @@ def settings_tables(
 def settings_table(name: str, rows: Iterable[Row]) -> DocumentTable:
     """Return the table of a page with settings, their meaning and source."""
     return DocumentTable(name, (), tuple(tuple(map(str, row)) for row in rows), name, words=None, stacks=True)
+
+
+def settings_blocks(tables: Sequence[DocumentTable]) -> list[Block]:
+    """Return the settings of a page: those that differ from the defaults, and folded below them the values of all others.
+
+    tables : of `settings_table`
+    """
+    changed = [(f"{table.name}.{row[0]}", *row[1:3]) for table in tables for row in table.rows if row[-1] not in DEFAULTS]
+    rest = [replace(table, rows=[row[:2] for row in table.rows if row[-1] in DEFAULTS]) for table in tables]
+    first = DocumentTable("settings that differ from the defaults", (), changed, words=None, stacks=True)
+    return [first, Section("", "All other settings", [table for table in rest if table.rows], folded=True)]

@@ -8,11 +8,10 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from itertools import chain, count
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from itertools import count
+from typing import Any
 
 import numpy as np
 import scipy  # whose parts are imported when they are used
@@ -23,38 +22,30 @@ from pixsim.base.caller import parameter, setting
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import collected_notes, warn, without_warnings
 from pixsim.base.progress import Progress, Stage, no_stage, share_of, watched
-from pixsim.base.tables import plain
-from pixsim.light.exr import reduced_to_fit, write_channels, write_exr
+from pixsim.base.result import Result
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.optics.exchange import camera_of_light, read_with_camera
-from pixsim.optics.lens_defocus import depth_of_field_m, finite_or_none
-from pixsim.scene.convergence import without_clock
-from pixsim.scene.packaged import packaged_scenes
 from pixsim.scene.plan import Plan
 from pixsim.scene.scene import Scene
 from pixsim.sensor.integration import collecting_area_um2
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
-from pixsim.sensor.raw import BITS_OF_PICTURES, write_frame
+from pixsim.sensor.raw import BITS_OF_PICTURES
 from pixsim.sensor.readout import Frame
-from pixsim.show.document import pairs, plain_text
-from pixsim.show.render import cell_of
 from pixsim.studies.design import Case, metrics_of
 from pixsim.studies.engine import Workers
 from pixsim.studies.evaluate import FirstFrame, LitCase, evaluate_points
-from pixsim.studies.files import scene_table
 from pixsim.studies.film_error import light_error_and_limit
 from pixsim.studies.lights import Light, rendered_light, without_target
 from pixsim.studies.paired import NOISE_SENSORS, mean_interval, spread_interval
 from pixsim.studies.prepare import Job, choose_view, is_picture, loaded_scene, scene_with_view, sensor_case, with_view
-from pixsim.studies.sentences import run_answers
-from pixsim.studies.table import Store, Table
+from pixsim.studies.table import Table
 from pixsim.viewer.causes import causes_of, lightness_range
 from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.colour_matrix import AlikeChannelsError
-from pixsim.viewer.dark_clip import clip_words, clips_dark, dark_clip
+from pixsim.viewer.dark_clip import dark_clip
 from pixsim.viewer.develop_options import of_python
-from pixsim.viewer.display import white_light, white_rate
+from pixsim.viewer.display import white_rate
 from pixsim.viewer.evaluate import reviewed
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.metric_registry import metrics_named, names_of
@@ -62,14 +53,11 @@ from pixsim.viewer.metrics import DELTA_E, MetricRequest, NoNumberError, columns
 from pixsim.viewer.noise_budget import NoiseBudget, noise_budget
 from pixsim.viewer.raw_metrics import DETECTABILITY
 from pixsim.viewer.scene_light import PreparedScene, SceneCache, SceneLight, prepare_scene, registered_in
-from pixsim.viewer.score import Cause, FrameScore, LightError, Score, shown_mean
+from pixsim.viewer.score import Cause, FrameScore, LightError, Score
 from pixsim.viewer.screen import warn_of_clipping, white_header
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
 from pixsim.viewer.without_effect import GivenSettings, warn_of_settings_without_effect
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # --- where a target is just seen --------------------------------------------------------------------------------------------------
 
@@ -100,30 +88,6 @@ class Threshold:
     tried: tuple[float, ...]
     reason: str = ""
     upper_value: float | None = None
-
-    @property
-    def words(self) -> str:
-        """What a run says of it."""
-        reached = f"{self.threshold:g} is reached at {self.parameter}"
-        match self.value, self.upper_value:
-            case float(low), float(high):
-                return f"{reached} of {low:.4g} to {high:.4g}"
-            case float(low), None:
-                return f"{reached} = {low:.4g}"
-            case None, float(high):
-                return f"{reached} up to {high:.4g}"
-        tried = " to ".join(f"{each:.4g}" for each in (min(self.tried), max(self.tried)))
-        return f"{self.threshold:g} is not reached at {self.parameter} of {tried}" + (f": {self.reason}" if self.reason else "")
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return it as in score.json."""
-        return {
-            "parameter": self.parameter,
-            "detectability": self.threshold,
-            "value": self.value,
-            "upper_value": self.upper_value,
-            "why_not": self.reason,
-        }
 
 
 def start_of(settings: Run, source: Scene | object) -> float | None:
@@ -294,25 +258,6 @@ LIGHT_FILE = "light.exr"  # of light that was in memory, once it is written
 # --- what is run, before anything is rendered ----------------------------------------------------------------------------------
 
 
-def repeating_settings(job: Job[Run], irradiance: SpectralImage) -> Run:
-    """Return the settings with which `pixsim run` makes the same numbers again.
-
-    irradiance : of this run
-    """
-    if job.cases[0].picture:
-        return job.complete
-    # Display and chart, too, may have been chosen; defaults in their place would count as given.
-    of_view = {"display": job.complete.display, "scene": scene_table(job.cases[0].scene.path.parent, job.complete.scene)}
-    return without_clock(job.asked, irradiance).model_copy(update=of_view)
-
-
-def whole_source(job: Job[Run]) -> str:
-    """Return the scene or picture of a run, for a command in another folder."""
-    if job.cases[0].picture:
-        return str(Path(job.file).resolve())
-    return job.file if job.file in packaged_scenes() else str(job.cases[0].scene.path)
-
-
 def prepare(
     source: str | SpectralImage,
     settings: Run,
@@ -406,7 +351,7 @@ class LitRun:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunResult(LitRun):
+class RunResult(LitRun, Result):
     """A scene as one sensor sees it, with its score.
 
     prepared : what was run: source, settings and camera
@@ -423,7 +368,7 @@ class RunResult(LitRun):
 
     chain: ImagingChain = field(repr=False)
     score: FrameScore = field(repr=False)
-    table: Table | None = field(default=None, repr=False)
+    table: Table = field(repr=False)
     table_at_first: Table | None = field(default=None, repr=False)
     keys: tuple[str, ...] = field(default=(), repr=False)
     threshold: Threshold | None = field(default=None, repr=False)
@@ -432,17 +377,8 @@ class RunResult(LitRun):
     def statistics(self) -> tuple[dict[str, float], ...]:
         """Numbers of the pixel, the frame and the metrics, of the first frame of each sensor."""
         first = self.score.statistics()
-        assert self.table is not None
         rows = ({name: row[name] for name in first if name in row} for row in self.table[1:])
         return first, *rows
-
-    @property
-    def results_csv(self) -> str:
-        """The table as results.csv has it."""
-        assert self.table is not None
-        store = Store(None, (), self.table.metrics)
-        names = ("technology", "pitch_um", "repeat", *store.numbers)
-        return store.text((key, *(row[name] for name in names)) for key, row in zip(self.keys, self.table, strict=True))
 
     @property
     def settings(self) -> Run:
@@ -457,7 +393,6 @@ class RunResult(LitRun):
     @property
     def delta_e(self) -> Array:
         """Mean ΔE of each sensor, (sensors,)."""
-        assert self.table is not None
         return np.asarray(self.table.columns["mean_delta_e"])
 
     @property
@@ -490,7 +425,6 @@ class RunResult(LitRun):
             return None
         if self.table_at_first is None:
             return mean_interval(values)[::2]
-        assert self.table is not None
         at_first = np.append(self.table.columns[column][:1], self.table_at_first.columns[column])
         return spread_interval(values, at_first)[::2]
 
@@ -498,7 +432,6 @@ class RunResult(LitRun):
     def judged(self) -> dict[str, Array]:
         """Metrics beside ΔE by their names, of each sensor, (sensors,)."""
         others = [metric for metric in metrics_named(self.settings.metrics) if metric is not DELTA_E]
-        assert self.table is not None
         return {metric.name: np.asarray(self.table.columns[metric.columns[0]]) for metric in others}
 
     @cached_property
@@ -554,112 +487,24 @@ class RunResult(LitRun):
         return noise_budget(self.chain, self.irradiance, "evaluate", self.settings.seed)
 
     @property
-    def shown_mean(self) -> str:
-        """Mean ΔE over all sensors as text, with its interval and the error of its light."""
-        mean = self.mean_delta_e
-        half = 0.0 if self.interval_delta_e is None else self.interval_delta_e[1] - mean
-        return shown_mean(mean, self.light, self.light_limit, self.causes, half)
-
-    @property
-    def assumption(self) -> str:
-        """What was assumed of the technology and the lens, which nobody stated; empty for nothing."""
-        of_lens = "" if self.prepared.cases[0].picture else self.prepared.asked.camera.assumption(self.camera)
-        return "; ".join(filter(None, (self.settings.pixel.assumption, of_lens)))
-
-    @property
     def colour(self) -> dict[str, Any] | None:
         """Channels, matrix and noise gains of a colour sensor, as in score.json; None for a monochrome one."""
         return None if self.chain.rendition is None else self.chain.development.colour_facts(self.score.frame.integration_s)
 
     @property
-    def dark_notes(self) -> list[str]:
-        """A note on the clipping of dark pixels at 0 DN; none if its effect is not visible, or a correction removes its mean."""
-        if self.settings.correction.removes_dark_level or not clips_dark(self.dark):
-            return []
-        return [clip_words(self.dark, self.settings.pixel.model_dump())]
-
-    @property
-    def score_notes(self) -> list[str]:
-        """Notes on the causes of the score and on clipped dark pixels, the largest first."""
-        sized = [(cause.delta_e, str(cause)) for cause in self.causes]
-        sized += [(self.dark["lightness"], note) for note in self.dark_notes]
-        return [note for _, note in sorted(sized, key=lambda one: -one[0])]
-
-    @property
     def notes(self) -> list[str]:
         """What a reader should know besides the score: its causes, warnings, a black level that clips dark noise."""
-        return list(dict.fromkeys([*map(str, self.causes), *self.warned, *self.score_notes]))
+        notes: list[str] = self.as_dict()["notes"]
+        return notes
 
     def further_frames(self) -> Iterator[Frame]:
         """Yield the frames of the first sensor after its first one, which is scored."""
         return self.chain.further_frames(self.prepared.frames, "evaluate", self.settings.seed)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return score.json: the results of the first sensor, then the settings, and what is known of further sensors.
-
-        `pixels` and `scored_dots` are rows and columns; `border_um`, above and to the left, is the border that is not scored.
-        `in_focus_m` are the nearest and the farthest depth with a blur disc of a pixel at most, the farthest null if infinite.
-        """
-        prepared, settings, score = self.prepared, self.settings, self.score
-        more: dict[str, Any] = {"chosen": {**prepared.view}}
-        if self.rendered and self.rendered.noise and self.plan:
-            more |= {"render_noise": asdict(self.rendered.noise), "plan": self.plan.as_dict(), "film": self.film}
-            more |= {"window_mm": settings.window_mm} if settings.window_mm else {}
-        if prepared.repeats > 1 and self.interval_delta_e is not None:
-            more |= {"repeats": self.delta_e.size, "delta_e": self.delta_e.tolist(), "sensors_mean_delta_e": self.mean_delta_e}
-            more |= {"interval_delta_e": list(self.interval_delta_e)}
-        if self.judged:
-            more["metrics"] = plain({name: float(values.mean()) for name, values in self.judged.items()})
-        if self.threshold is not None:
-            more["at_threshold"] = self.threshold.as_dict()
-        if (colour := self.colour) is not None:
-            more |= {"develop": settings.develop.model_dump(), "colour": colour}
-        elif settings.develop.words:
-            more |= {"develop": settings.develop.model_dump()}
-        if settings.develop.sharpens:
-            more["sharpening_noise_gain"] = self.chain.development.sharpening_noise_gain
-        more |= {"frames": prepared.frames} if prepared.frames > 1 else {}
-        more |= {"noise_budget": self.noise_budget.as_dict()} if self.noise_budget else {}
-        return {
-            **plain(self.statistics[0]),
-            "pixels": list(score.frame.pixels),
-            "scored_dots": list(score.delta_e.shape),
-            "border_um": list(score.border_um),
-            "pixel": score.physics.pixel.model_dump(),
-            "assumption": self.assumption,
-            "white_spectrum": white_light(self.irradiance)[1],
-            "irradiance": self.irradiance.header,
-            "dark": self.dark,
-            "causes": [cause.as_dict() for cause in self.causes],
-            "camera": self.camera.model_dump(),
-            "in_focus_m": finite_or_none(depth_of_field_m(self.camera, score.physics.read_pitch_um)),
-            "exposure": settings.exposure.model_dump(),
-            "correction": settings.correction.model_dump(),
-            **({"motion": settings.motion.model_dump()} if settings.motion.is_on else {}),
-            "display": settings.display.model_dump(),
-            "seed": settings.seed,
-            "notes": self.notes,
-            **more,
-        }
-
-    def plot(self) -> Figure:
-        """Return a Matplotlib figure of the ideal image, the sensor's image and the ΔE map with its scale."""
-        return self.score.plot()
-
-    @checks_arguments
-    def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
-        """Return a row for each sensor as CSV, and write it to `path` if given."""
-        assert self.table is not None
-        return self.table.to_csv(path)
-
-    def _repr_html_(self) -> str:
-        camera = self.camera
-        of_run = f"{camera.focal_length_mm:g} mm at f/{camera.f_number:g}, die of {camera.die_mm:g} mm; seed {self.settings.seed}"
-        notes = [f"{self.prepared.file}: {of_run}", *self.notes]
-        return cell_of(run_answers(self), self.plot(), pairs("statistics", self.statistics[0], ".6g"), *notes)
-
     def __repr__(self) -> str:
-        return f"<RunResult {self.prepared.file}: {plain_text(run_answers(self)[0].head)}>"
+        metric = metrics_named(self.settings.metrics)[0]
+        value = f"{metric.name} {self.table.columns[metric.columns[0]].mean():.4g}"
+        return f"<RunResult {self.prepared.file}: {value}, {self.score.physics.pitch_um:g} µm pixels, {self.delta_e.size} sensors>"
 
 
 # --- the way from the settings to the result -------------------------------------------------------------------------------------
@@ -830,33 +675,9 @@ def with_metrics(score: FrameScore, names: Sequence[str], table: Table) -> Frame
     return replace(score, metrics=first, further=further)
 
 
-Irradiance = Literal["reduced", "full", "factors", "none"]  # what irradiance.exr holds
-
-
 def check_raw(settings: Run, suffixes: Sequence[str]) -> None:
     """Raise PixsimError for raw frames of too many bits for their format."""
     bits = (settings.exposure.frames * (2**settings.pixel.bits - 1)).bit_length()
     if bits > BITS_OF_PICTURES and {".tiff", ".png"} & set(suffixes):
         got = f"tiff or png for frames of {bits} bits"
         raise invalid("--raw", got, f"at most {BITS_OF_PICTURES} bits; use npz for more")
-
-
-def write_irradiance(path: Path, image: SpectralImage, irradiance: Irradiance) -> None:
-    """Write the light of a run as EXR: whole, its factors only, or bands of at most 1024 samples across and 60 MB."""
-    write_exr(path, reduced_to_fit(image) if irradiance == "reduced" else image, factors_only=irradiance == "factors")
-
-
-def write_numbers(
-    result: RunResult, folder: Path, name_of: Callable[[int], str], suffixes: Sequence[str], frame_done: Callable[[int], object]
-) -> None:
-    """Write delta_e.exr and the raw frames of a run.
-
-    name_of : returns the name of a frame's file, without its suffix
-    suffixes : of the formats
-    frame_done : called with the number of frames written so far
-    """
-    write_channels(folder / "delta_e.exr", {"delta_e": result.score.delta_e}, {})
-    for number, frame in enumerate(chain([result.score.frame], result.further_frames()), 1):
-        for suffix in suffixes:
-            write_frame(folder / f"{name_of(number)}{suffix}", frame)
-        frame_done(number)

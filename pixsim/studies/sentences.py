@@ -20,24 +20,19 @@ from pixsim.base.notes import few
 from pixsim.optics.camera import Camera
 from pixsim.scene.convergence import RENDER_NOISE, what_reaches
 from pixsim.sensor.stages import stage_words
-from pixsim.show.document import Answer, Block, DocumentTable, Fact, Strong, Text, has_room, headline, joined, plain_text
+from pixsim.show.document import Block, DocumentTable, Fact, Strong, Text, has_room, headline, joined, plain_text
 from pixsim.studies.film_error import FilmError, light_error_and_limit
 from pixsim.studies.merit import columns_on, moved_view, stated_end_lp_per_mm
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
 from pixsim.studies.regret import Regrets, metric_regrets
-from pixsim.viewer.causes import SATURATED_SHOWN
-from pixsim.viewer.develop_options import developed_words
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.metric_registry import metric_known
-from pixsim.viewer.metrics import DELTA_E
-from pixsim.viewer.raw_metrics import DETECTABILITY, INFORMATION, contrast_factor
+from pixsim.viewer.raw_metrics import INFORMATION
 from pixsim.viewer.score import converged, mean_words, shown_mean, unmet
 from pixsim.viewer.screen import rounded_up
 
 if TYPE_CHECKING:
     from pixsim.studies.curve import Curve
     from pixsim.studies.result import StudyResult
-    from pixsim.studies.run import RunResult
 
 FILLED = 0.9995  # larger fill factors are shown as 100 %: data sheets give the numbers of the whole pixel
 MAX_REGRET_TABLES = 8  # before an answer has too many lines; summary.json has all
@@ -262,102 +257,7 @@ def study_unconverged(result: StudyResult) -> list[str]:
     return few(lines)
 
 
-def judged_lines(result: RunResult) -> list[str]:
-    """Return what metrics beside ΔE say of a run, with the 95 % interval of several sensors; of whom nobody asks, nothing."""
-    lines = []
-    for name, values in result.judged.items():
-        metric, mean = metric_known(name), float(values.mean())
-        if math.isnan(mean):  # a note says why
-            lines.append(f"{metric.words} is not given")
-            continue
-        low, high = result.interval(values, metric.columns[0]) or (mean, mean)
-        value = with_error(mean, (high - low) / 2) if high > low else f"{mean:.4g}"
-        seen = _threshold_words(result, mean) if metric is DETECTABILITY else ""
-        lines.append(f"{metric.words} {value} {metric.unit}".rstrip() + f", of the {metric.judges}{seen}")
-    return lines
-
-
-def run_answers(result: RunResult) -> list[Answer]:
-    """Return the answers of a run, its mean ΔE with what makes it unsure; before it that of the first metric, if it is another."""
-    delta_e = headline(score_parts(result))
-    answers = [Answer(delta_e.head, (*unsure_words(result), *delta_e.below))]
-    return [*map(Answer, judged_lines(result)[: leads_other(result)]), *answers]
-
-
-def leads_other(result: RunResult) -> bool:
-    """Return whether the first metric of a run, that of its headline, is another one than ΔE."""
-    return result.settings.metrics[0] != DELTA_E.name
-
-
-def _threshold_words(result: RunResult, d_prime: float) -> str:
-    """Return at which part of its contrast a target is seen as well as the threshold asks; d′ grows with a small contrast."""
-    if result.threshold is not None:
-        return f"; {result.threshold.words}"
-    options = result.settings.metric.detectability
-    threshold = options.threshold
-    factor, reason = contrast_factor(result.chain.expected(result.score.frame.integration_s), d_prime)
-    if not reason:
-        return f"; {threshold:g} is reached at {factor:.3g} times this contrast, where contrasts are small"
-    is_seen = d_prime >= threshold
-    return f"; no factor of its contrast leads to {threshold:g}: {reason}" if is_seen else f"; not seen: {reason}"
-
-
-def unsure_words(result: RunResult) -> list[str]:
-    """Return the lines that follow a run's mean ΔE: its causes and the errors of its light, the largest first.
-
-    A black level that clips dark noise is among them where it makes more than another one.
-    """
-    lines = unconverged(result.irradiance.header, result.rendered.film if result.rendered else None)
-    sized = [(size, line) for (size, _), line in zip(unmet(result.light, result.light_limit), lines, strict=False)]
-    sized += [(cause.delta_e, str(cause)) for cause in result.causes]
-    least = min((size for size, _ in sized), default=math.inf)
-    sized += [(size, note) for note in result.dark_notes if (size := result.dark["lightness"]) > least]
-    return [line for _, line in sorted(sized, key=lambda one: -one[0])]
-
-
 # --- what it belongs to ----------------------------------------------------------------------------------------------------------
-
-
-def score_parts(result: RunResult) -> list[Text]:
-    """Return the mean ΔE of a run, its pixels and its exposure, and how it is shown and rendered, as parts of a `headline`."""
-    frame, settings, delta_e = result.score.frame, result.settings, ("mean ΔE ", Strong(result.shown_mean))
-    rows, columns = frame.pixels
-    border_um = result.score.border_um[1] if settings.display.raster == "fixed_size" else 0.0
-    border = f"{border_um:.3g} µm on each side not scored" if border_um else ""
-    exposure, time_s, saturated = settings.exposure, frame.integration_s, frame.saturated_fraction
-    is_longest = exposure.integration_s is None and time_s >= exposure.times * exposure.max_integration_s
-    longest = " (the maximum)" if is_longest else ""
-    full = f", {saturated:.0%} of them saturated" if saturated > SATURATED_SHOWN else ""
-    pixels = f"{columns} × {rows} pixels of {result.score.physics.pitch_um:g} µm"
-    exposed = ", ".join([f"exposed for {1e3 * time_s:.3g} ms{longest}{full}", *stage_words(settings)])
-    first = (*delta_e, f"{',' * (NOT_CONVERGED in result.shown_mean)} with {pixels}")
-    parts: list[Text] = [first, exposed] if has_room([first]) else [delta_e, pixels, exposed]
-    if has_room([whole := (*first, f", {exposed}")]):
-        parts = [whole]
-    if developed := developed_words(settings.develop, [settings.pixel]):
-        parts.insert(1, developed)
-    shown = ", ".join(filter(None, (border, *run_view_words(result))))
-    film = film_words(result.film) if result.film else unmeasured_words(result)
-    noise = noise_words(result.rendered.noise.fraction) if result.rendered and result.rendered.noise else ""
-    return [*parts, "; ".join(filter(None, (shown, film, lens_words(result.camera), result.assumption, noise)))]
-
-
-def noise_words(fraction: float) -> str:
-    """Return the noise of a render as a fraction of the sensor's noise, in words."""
-    return f"render noise {fraction:.2g} of the sensor's noise" if fraction else "no render noise"
-
-
-def unmeasured_words(result: RunResult) -> str:
-    """Return what was not measured of light that pixsim rendered; empty for nothing, and for light of another program."""
-    light = result.light
-    parts = ["the film's error"] * (light.film_delta_e is None) + ["render noise"] * (light.noise_delta_e is None)
-    return f"{' and '.join(parts)} not measured" if "scene_hash" in result.irradiance.header and parts else ""
-
-
-def run_view_words(result: RunResult) -> list[str]:
-    """Return `view_words` of a run."""
-    settings, chosen = result.settings, result.prepared.view
-    return view_words(settings.display, result.irradiance.header, chosen, settings.window_mm, result.score.frame.pixels[1])
 
 
 def lens_words(camera: Camera) -> str:

@@ -15,14 +15,16 @@ from helpers.runs import run_result
 
 import pixsim
 from pixsim.base.headline import MOST_WORDS
+from pixsim.report.run import run_answer, run_document, run_page, score_parts, shown_mean_of
 from pixsim.report.sfr import sfr_parts
 from pixsim.report.uncertainty import uncertainty_blocks
 from pixsim.report.wording import weighted_answer
 from pixsim.sensor.outside import outside_words
 from pixsim.show.document import Answer, Text, headline, plain_text
+from pixsim.show.render import html, text
 from pixsim.studies.film_error import FilmError, light_error_and_limit
 from pixsim.studies.run import RunResult
-from pixsim.studies.sentences import optimum_line, optimum_parts, run_answers, score_parts
+from pixsim.studies.sentences import optimum_line, optimum_parts
 from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.score import Cause
 
@@ -79,22 +81,25 @@ def check(parts: Sequence[Text], unsure: str = "") -> str:
 def test_headlines_of_runs_are_short_and_name_the_largest_cause() -> None:
     for result in runs():
         head = check(score_parts(result))
-        assert head.startswith(f"mean ΔE {result.shown_mean}")
+        assert head.startswith(f"mean ΔE {shown_mean_of(result)}")
         assert not result.causes or result.causes[0].words in head
-        assert ("not converged" in head) == ("not converged" in result.shown_mean)
+        assert ("not converged" in head) == ("not converged" in shown_mean_of(result))
 
 
 def test_headline_of_a_run_is_that_of_its_first_metric() -> None:
-    """The command, the page and Python have the same order, whether ΔE is asked for or not."""
-    for metrics, answers in (
-        (["detectability"], ["detectability d′", "mean ΔE"]),
-        (["detectability", "delta_e"], ["detectability d′", "mean ΔE"]),
-        (["delta_e", "detectability"], ["mean ΔE"]),
+    """The others follow in their order; ΔE is in the text and in the page where it was asked for."""
+    for metrics, first, others in (
+        (["detectability"], "detectability d′", []),
+        (["detectability", "delta_e"], "detectability d′", ["mean ΔE"]),
+        (["delta_e", "detectability"], "mean ΔE", ["detectability d′"]),
     ):
         result = pixsim.run("target", camera={"die_mm": 0.2}, resolution=64, pixel={"bits": 12}, metrics=metrics)
-        heads = [plain_text(answer.head) for answer in run_answers(result)]
-        assert [head.startswith(words) for head, words in zip(heads, answers, strict=True)] == [True] * len(answers)
-        assert f": {answers[0]}" in repr(result)
+        answer = run_answer(result)
+        assert plain_text(answer.head).startswith(first)
+        printed = text(run_document(result))
+        assert [words in printed for words in others] == [True] * len(others)
+        assert ("ΔE" in " ".join([plain_text(answer.head), *map(str, answer.below)])) == ("delta_e" in metrics)
+        assert ("mean ΔE" in html(run_page(result).finish())) == ("delta_e" in metrics)
 
 
 def test_headlines_of_studies_are_short() -> None:

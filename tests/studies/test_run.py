@@ -18,7 +18,8 @@ from scipy import stats
 import pixsim
 from pixsim.base.caller import command_line
 from pixsim.base.files import PROVENANCE
-from pixsim.report.run import run_document
+from pixsim.base.schema import SCHEMA
+from pixsim.report.run import run_document, shown_mean_of
 from pixsim.sensor.pixel import spread_registration
 from pixsim.show.render import text as text_of
 from pixsim.studies.paired import mean_interval, spread_interval
@@ -36,14 +37,15 @@ def made() -> RunResult:
 def test_run_writes_what_the_command_writes(made: RunResult, tmp_path: Path) -> None:
     code, out, err = command(f"{LINE} --frames 2 --json --out {tmp_path / 'command'}")
     assert code == 0, err
-    assert json.loads(out) == json.loads(json.dumps(made.as_dict() | {"schema": 1}))
+    assert json.loads(out) == json.loads(json.dumps(made.as_dict() | {"schema": SCHEMA}))
     with command_line():  # its page names settings as options
-        assert pixsim.write_report(made, tmp_path / "python") == tmp_path / "python/report.html"
+        assert made.write(tmp_path / "python") == tmp_path / "python/report.html"
     by_command, by_python = (
         {path.name: path.read_bytes() for path in (tmp_path / folder).iterdir() if path.name != PROVENANCE}
         for folder in ("command", "python")
     )
     assert by_python == by_command
+    assert by_command["results.csv"] == made.to_csv().encode()
 
 
 def test_run_of_a_picture_takes_a_file_and_options(tmp_path: Path) -> None:
@@ -66,9 +68,9 @@ def test_run_of_a_picture_takes_a_file_and_options(tmp_path: Path) -> None:
 
 
 def test_result_is_shown_and_written_as_a_table(made: RunResult, tmp_path: Path) -> None:
-    assert repr(made).startswith(f"<RunResult csf: mean ΔE {made.shown_mean}, with 128 × 128 pixels of 21.2 µm, exposed for ")
+    assert repr(made) == f"<RunResult csf: delta_e {made.mean_delta_e:.4g}, 21.2 µm pixels, 1 sensors>"
     page = made._repr_html_()
-    assert made.shown_mean in page
+    assert shown_mean_of(made) in page
     assert all(note.partition(":")[0] in page for note in made.notes)
     made.to_csv(tmp_path / "rows.csv")
     with (tmp_path / "rows.csv").open(newline="", encoding="utf-8") as file:

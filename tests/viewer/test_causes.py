@@ -21,7 +21,7 @@ import pixsim
 from pixsim.base.caller import command_line
 from pixsim.light.spectral import DIFFUSER, WHITE_RADIANCE, SpectralImage, Spectrum
 from pixsim.optics.camera import Camera
-from pixsim.report.run import run_document
+from pixsim.report.run import run_document, shown_mean_of, unsure_words
 from pixsim.report.study import study_document
 from pixsim.scene.plan import make_plan
 from pixsim.scene.scene import load_scene
@@ -31,7 +31,7 @@ from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
 from pixsim.show.render import text
-from pixsim.studies.sentences import optimum_line, unsure_words
+from pixsim.studies.sentences import optimum_line
 from pixsim.viewer.causes import causes_of, lightness_range, tells_nothing
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.score import NOTHING, Cause, LightError, mean_words, shown_mean, unmet
@@ -369,7 +369,7 @@ def test_largest_cause_is_named_first() -> None:
     assert [line.split()[0] for line in unsure_words(result)] == ["not", "light"]  # 2.5 and 2 ΔE, and 1 of the black level
     more = unsure_words(run_result([4.0], header, causes=[left_out], dark=dark | {"lightness": 2.2}))
     assert [line.split()[0] for line in more] == ["not", "the", "light"]
-    assert result.shown_mean == "4.000 (light left out), not converged"
+    assert shown_mean_of(result) == "4.000 (light left out), not converged"
 
 
 # --- wherever a score is shown ---

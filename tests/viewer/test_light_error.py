@@ -12,11 +12,12 @@ from helpers.tiny import tiny
 import pixsim
 from pixsim.base.caller import command_line
 from pixsim.base.digits import with_error
+from pixsim.report.run import score_parts, shown_mean_of
 from pixsim.show.document import plain_text
 from pixsim.studies.film_error import FilmError
 from pixsim.studies.result import StudyResult
 from pixsim.studies.run import RunResult
-from pixsim.studies.sentences import optimum_line, score_parts, study_light_words, study_unconverged, unconverged
+from pixsim.studies.sentences import optimum_line, study_light_words, study_unconverged, unconverged
 from pixsim.viewer.score import LightError, converged, noise_error_and_limit, unmet
 
 NOISY = {"fraction": 2.4, "target": 0.2, "ended_by": "samples", "delta_e": 0.36}  # of which 0.03 is left at the target
@@ -86,7 +87,7 @@ def test_noise_without_samples_has_converged():
 )
 def test_mean_of_a_run_is_as_sure_as_it_looks(noise, film, shown, reasons):
     result = of_run(noise, film)
-    assert result.shown_mean == shown
+    assert shown_mean_of(result) == shown
     lines = unconverged(result.irradiance.header, result.rendered and result.rendered.film)
     assert len(lines) == bool(reasons)
     assert all(reason in line for line in lines for reason in reasons)
