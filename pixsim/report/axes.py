@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from pixsim.base.arrays import Array
 from pixsim.base.tables import Column, columns_of, table_csv
 from pixsim.base.toml import SETTINGS_FILE
 from pixsim.report.maps import alone_groups, alone_plate, axis_plates, case_columns, optimum_columns, plate_names
@@ -17,7 +18,7 @@ from pixsim.report.regret import REGRETS, regrets_plate
 from pixsim.report.study import agrees, document_of, plot_of, report_files, study_page, with_files_of_study
 from pixsim.report.wording import DELTA_E, rendered_words
 from pixsim.show.document import Block, Document, DocumentTable, Fact, Link, Listed, Plot, Section, made_with, pairs
-from pixsim.show.pages import Figures, figure_files
+from pixsim.show.pages import Figures, Plate, figure_files
 from pixsim.studies.claims import verdicts
 from pixsim.studies.design import Case, cases_of
 from pixsim.studies.engine import Workers
@@ -148,10 +149,7 @@ def axes_page(
     parts : cases with a page of their own
     """
     pitch_um = np.unique(np.concatenate([curve.pitch_um for curve in result.curves]))
-    figures = [
-        Plot(partial(regrets_plate, found, pitch_um, f"{REGRETS}_{number}"))
-        for number, found in enumerate(regrets[:SHOWN_REGRETS], 1)
-    ]
+    figures = [Plot(partial(_numbered_regrets, found, pitch_um, number)) for number, found in enumerate(regrets[:SHOWN_REGRETS], 1)]
     tables = [table for each in regrets for table in regrets_tables(each)]
     budgets, header = noise_budgets(result), result.irradiance.header
     best = (Link("The same with all digits (CSV)", "optima.csv"),)
@@ -180,6 +178,10 @@ def axes_page(
             **({REGRETS_FILE: table_csv(regrets_columns(regrets))} if regrets else {}),
         },
     )
+
+
+def _numbered_regrets(regrets: Regrets, pitch_um: Array, number: int) -> Plate:
+    return regrets_plate(regrets, pitch_um).named(f"{REGRETS}_{number}")
 
 
 def _about(result: CasesResult, regrets: Sequence[Regrets]) -> str:

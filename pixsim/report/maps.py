@@ -430,8 +430,9 @@ def draw_optima(axes: Axes, scale: Scale, line: Line, look: Look, place: Transfo
 
 @figure(
     "map_by_pitch_and_axis",
-    "The study's first metric over pixel size and an axis, from the fitted curves; contours at equal steps of the colours. Points: "
-    "the best size, hollow where it is not known: at an end of the sizes tried, or where the film cannot tell sizes apart.",
+    "The study's first metric over pixel size and an axis, from the fitted curves; contours at equal steps of the colours. "
+    "Points: the best size, hollow where it is not known: at an end of the sizes tried, or where the film cannot tell sizes "
+    "apart.",
 )
 def map_along(grid: Grid, scale: Scale) -> Drawing:
     """Draw the fitted metric over pixel size and axis, with the optimum, a panel for each technology and condition."""
@@ -486,9 +487,9 @@ def map_table(grid: Grid, lines: Sequence[Line], pitch_um: Array) -> dict[str, C
 
 @figure(
     "optimum_by_two_axes",
-    "Optimal pixel size over two axes. Contours, and the second number of a cell: the best value of the study's first metric, such "
-    "as the least mean ΔE. Hatched: the best size is not known, since it is at an end of the sizes tried or the film cannot tell "
-    "sizes apart.",
+    "Optimal pixel size over two axes. Contours, and the second number of a cell: the best value of the study's first metric, "
+    "such as the least mean ΔE. Hatched: the best size is not known, since it is at an end of the sizes tried or the film cannot "
+    "tell sizes apart.",
 )
 def map_of_two(grid: Grid, across: Scale, up: Scale) -> Drawing:
     """Draw the optimum over two axes, with contours of the best value, a panel for each technology and condition."""
@@ -591,8 +592,8 @@ def alone_plate(result: CasesResult) -> Plate | None:
 
 @figure(
     "tornado",
-    "Each axis moved alone about the base (vertical line, grey: its 95 % interval); the widest bar, which moves the optimum most, "
-    "comes first. Hollow points: the best size is not known, since it is at an end of the sizes tried or the film cannot tell "
+    "Each axis moved alone about the base (vertical line, grey: its 95 % interval); the widest bar, which moves the optimum most,"
+    " comes first. Hollow points: the best size is not known, since it is at an end of the sizes tried or the film cannot tell "
     "sizes apart.",
 )
 def tornado(result: CasesResult, groups: Sequence[Group]) -> Drawing:

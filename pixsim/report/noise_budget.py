@@ -74,8 +74,8 @@ def budget_table(budgets: Mapping[str, NoiseBudget]) -> DocumentTable:
 
 @figure(
     "noise_budget",
-    "Noise in electrons, and parts of the mean ΔE, by cause, each switched off from above to below, of up to six pixels. The table "
-    "has all pixels.",
+    "Noise in electrons, and parts of the mean ΔE, by cause, each switched off from above to below, of up to six pixels. The "
+    "table has all pixels.",
 )
 def budget_plate(budgets: Mapping[str, NoiseBudget]) -> Drawing:
     """Draw what each cause takes off the mean ΔE, and the electrons of each cause of noise, as bars."""

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy  # whose parts are imported when they are used
 
-from pixsim.base.tables import Column
+from pixsim.base.arrays import Array
 from pixsim.report.pictures import CONTRAST_LABEL, picture_axes
 from pixsim.report.views import draw_iso, map_end, study_pictures
-from pixsim.show.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, draw_picture, draw_terms, new_figure, own_style
-from pixsim.show.pages import Plate, coarse_table
+from pixsim.show.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, draw_picture, draw_terms, new_figure
+from pixsim.show.pages import Drawing, Plate, coarse_table, figure
 from pixsim.studies.claims import (
     FIGURE_2B_PITCHES_UM,
     FIGURE_6_PITCHES_UM,
@@ -61,44 +61,50 @@ def map_plates(evidence: Evidence) -> list[Plate]:
     return [figure_5(evidence), figure_6(evidence), errors_by_frequency_and_contrast(evidence)]
 
 
-@own_style()
-def figure_2a(result: StudyResult) -> Plate:
+@figure(
+    "figure_2a_dr_snr",
+    "Figure 2a: dynamic range and SNR at 20 % of the well against pixel size. Equations (1) and (2), 0.35 µm, 30 ms, with both "
+    "capacitances.",
+)
+def figure_2a(result: StudyResult) -> Drawing:
     """Plot DR and SNR at 20 % of the well against pitch, at 30 ms, for both capacitances."""
     pitch_um, process = np.geomspace(5.3, 15.0, 40), reference_process(result.study)
     figure = new_figure(6.0, 3.8)
     axes = figure.subplots()
-    table: dict[str, Column] = {"pitch_um": pitch_um.tolist()}
+    table: dict[str, Array] = {"pitch_um": pitch_um}
     looks = iter(LOOKS)
     for capacitance in ("paper", "mosis"):
         for name, db in zip(("DR", "SNR at 20 % well"), dr_and_snr_db(pitch_um, capacitance, process), strict=True):
             look = next(looks)
             axes.plot(pitch_um, db, ms=4, markevery=6, label=f"{name}, capacitance '{capacitance}'", **look.line)
-            table[f"{name.split()[0].lower()}_{capacitance}_db"] = db.tolist()
+            table[f"{name.split()[0].lower()}_{capacitance}_db"] = db
     axes.axhspan(35, 70, color="0.93", zorder=0, label="axis of the paper's Fig. 2a")
     axes.set(xlabel="pixel size (µm)", ylabel="dynamic range, and SNR (dB)")
     axes.legend(frameon=False, fontsize=8, handlelength=LEGEND_LINE)
-    caption = (
-        "Figure 2a: dynamic range and SNR at 20 % of the well against pixel size. Equations (1) and (2), 0.35 µm, 30 ms, with both "
-        "capacitances."
-    )
-    return Plate("figure_2a_dr_snr", caption, figure, table)
+    return figure, table
 
 
-@own_style()
-def figure_2b(result: StudyResult) -> Plate:
+@figure(
+    "figure_2b_mtf",
+    "Figure 2b: MTF of four pixel sizes, and of every blur at the paper's optimum. Left, as in the paper: system MTF, white-light"
+    " diffraction times the photodiode's sinc. Dotted: the Nyquist frequency of each pixel. The photodiode is smaller than the "
+    "pixel (fill factor), so it blurs less than the pitch suggests. Right: every term from the scene to the viewer's display, and"
+    " their product. The interpolation between pixels and the mean over a dot belong to the display.",
+)
+def figure_2b(result: StudyResult) -> Drawing:
     """Plot the system MTF of four pixels, and all blur terms at the paper's optimum."""
     relative = np.linspace(0.0, 1.0, 101)
     frequency = relative * SIX_UM_NYQUIST_CY_PER_MM
     figure = new_figure(9.0, 3.9)
     axes, terms_axes = figure.subplots(1, 2, sharey=True)
-    table: dict[str, Column] = {"frequency_over_6um_nyquist": relative.tolist(), "frequency_lp_per_mm": frequency.tolist()}
+    table: dict[str, Array] = {"frequency_over_6um_nyquist": relative, "frequency_lp_per_mm": frequency}
     for pitch_um, look in zip(FIGURE_2B_PITCHES_UM, LOOKS, strict=False):
         physics = result.physics(REFERENCE_TECHNOLOGY, pitch_um)
         mtf = system_mtf(result, physics, frequency)
         axes.plot(relative, mtf, markevery=20, ms=4, label=f"{pitch_um:g} µm", **look.line)
         nyquist = 6.0 / pitch_um
         axes.plot([nyquist] * 2, [0, np.interp(nyquist, relative, mtf)], ":", color=look.colour, lw=1)
-        table[f"mtf_{pitch_um:g}um"] = mtf.tolist()
+        table[f"mtf_{pitch_um:g}um"] = mtf
     axes.set(title="system MTF: scene to sensor")
     axes.set(xlabel="frequency over the Nyquist frequency of\n6 µm pixels (83.3 lp/mm)")
     axes.set(ylabel="MTF: contrast over the scene's", ylim=(0, 1))
@@ -107,19 +113,12 @@ def figure_2b(result: StudyResult) -> Plate:
     physics = result.physics(REFERENCE_TECHNOLOGY, OPTIMUM_UM)
     terms = study_mtf_terms(result, physics, frequency)
     shown = draw_terms(terms_axes, frequency, terms, result.study.display.interpolation)
-    table |= {f"{name.replace(' ', '_')}_mtf_{OPTIMUM_UM:g}um": mtf.tolist() for name, mtf in (terms | {"shown": shown}).items()}
+    table |= {f"{name.replace(' ', '_')}_mtf_{OPTIMUM_UM:g}um": mtf for name, mtf in (terms | {"shown": shown}).items()}
     nyquist = 1e3 / (2 * OPTIMUM_UM)
     terms_axes.plot([nyquist] * 2, [0, np.interp(nyquist, frequency, shown)], ":", color="black", lw=1)
     terms_axes.set(title=f"scene to display: every term, {OPTIMUM_UM:g} µm pixels")
     terms_axes.set(xlabel="frequency on the sensor (lp/mm)", xlim=(0, SIX_UM_NYQUIST_CY_PER_MM))
-    caption = (
-        "Figure 2b: MTF of four pixel sizes, and of every blur at the paper's optimum. Left, as in the paper: system MTF, "
-        "white-light diffraction times the photodiode's sinc. Dotted: the Nyquist "
-        "frequency of each pixel. The photodiode is smaller than the pixel (fill factor), so it blurs less than the pitch "
-        f"suggests. Right: every term from the scene to the viewer's display, for {OPTIMUM_UM:g} µm pixels, and their product. "
-        "The interpolation between pixels and the mean over a dot belong to the display."
-    )
-    return Plate("figure_2b_mtf", caption, figure, table)
+    return figure, table
 
 
 def squares(corners_um: Sequence[tuple[float, float]], side_um: float, fc: str, lw: float, ec: str = "none") -> PathPatch:
@@ -135,8 +134,12 @@ def squares(corners_um: Sequence[tuple[float, float]], side_um: float, fc: str, 
     return PathPatch(Outline.make_compound_path(*parts), facecolor=fc, edgecolor=ec, linewidth=lw)
 
 
-@own_style()
-def figure_3(result: StudyResult) -> Plate:
+@figure(
+    "figure_3_pixels_on_die",
+    "Figure 3: pixels of three sizes in a corner of the die. The die stays and the pixels change, so that the lens can stay too. "
+    "Blue: the photodiodes, which share each pixel with its transistors.",
+)
+def figure_3(result: StudyResult) -> Drawing:
     """Show a corner of the die with pixels of three sizes, and the photodiode of each."""
     figure = new_figure(7.6, 3.1)
     table: dict[str, list[float]] = {name: [] for name in ("pitch_um", "rows", "columns", "fill_factor", "photodiode_side_um")}
@@ -153,23 +156,17 @@ def figure_3(result: StudyResult) -> Plate:
         for name, value in zip(table, (pitch_um, rows, columns, physics.fill_factor, side_um), strict=True):
             table[name].append(value)
     figure.axes[0].set_ylabel("y on the die (µm)")
-    caption = (
-        f"Figure 3: pixels of three sizes on a die of {result.camera.die_mm:g} mm. The die stays and the pixels change, so that "
-        f"the lens can stay too. Shown is a corner of the die, {FIGURE_3_SIDE_UM:g} µm wide. Blue: the photodiodes "
-        f"({REFERENCE_TECHNOLOGY}), which share each pixel with its transistors."
-    )
-    return Plate("figure_3_pixels_on_die", caption, figure, dict(table))
+    return figure, dict(table)
 
 
-@own_style()
-def figure_4(result: StudyResult) -> Plate:
+@figure("figure_4_scene", "Figure 4: the light on the sensor. The scene as rendered, with fall-off.")
+def figure_4(result: StudyResult) -> Drawing:
     """Show the CSF scene as rendered: illuminance on the sensor."""
     lux = result.irradiance.illuminance_lx()
     figure = new_figure(4.6, 4.4)
     axes = figure.subplots()
     draw_picture(axes, lux / lux.max(), picture_axes(result.irradiance))
-    caption = "Figure 4: the light on the sensor. The scene as rendered, with fall-off."
-    return Plate("figure_4_scene", caption, figure, coarse_table(lux, "illuminance_lx"))
+    return figure, coarse_table(lux, "illuminance_lx")
 
 
 def figure_5(evidence: Evidence) -> Plate:
@@ -180,8 +177,13 @@ def figure_5(evidence: Evidence) -> Plate:
     return numbered(study_pictures(result, curve, score, evidence.sensor_maps[FIGURE_5_PITCH_UM]), 5, name)
 
 
-@own_style()
-def figure_6(evidence: Evidence) -> Plate:
+@figure(
+    "figure_6_iso_delta_e",
+    "Figure 6: curves of equal ΔE of four pixel sizes, of the smoothed mean of the sensors' maps. Contrast grows downwards and "
+    "errors are larger below a curve, so the lower a curve lies, the better the pixel. Lower contrasts, which no curve reaches, "
+    "are left out. The table holds the curves' points.",
+)
+def figure_6(evidence: Evidence) -> Drawing:
     """Plot curves of equal ΔE for four pixel sizes, over the contrasts that they reach."""
     level = evidence.result.study.iso_delta_e
     _, width_mm, height_mm, _ = extent(evidence.result.irradiance)
@@ -202,18 +204,11 @@ def figure_6(evidence: Evidence) -> Plate:
     # Beside the axes, since curves may lie anywhere in them.
     axes.legend(handles=handles, title=title, frameon=False, loc="upper left", bbox_to_anchor=(1, 1), handlelength=LEGEND_LINE)
     pitch_um_of, x, y = np.array(vertices).T.reshape(3, -1)
-    table: dict[str, Column] = {
-        "pitch_um": pitch_um_of.tolist(),
-        "frequency_lp_per_mm": evidence.frequency_lp_per_mm(x).tolist(),
-        "contrast": evidence.contrast(y).tolist(),
+    return figure, {
+        "pitch_um": pitch_um_of,
+        "frequency_lp_per_mm": evidence.frequency_lp_per_mm(x),
+        "contrast": evidence.contrast(y),
     }
-    caption = (
-        "Figure 6: curves of equal ΔE of four pixel sizes. Curves of "
-        f"ΔE = {level:g} (mean of the sensors' maps, smoothed by {ISO_SMOOTHING_DOTS:g} "
-        "dots). Contrast grows downwards and errors are larger below a curve, so the lower a curve lies, the better the pixel. "
-        "Lower contrasts, which no curve reaches, are left out. The table holds the curves' points."
-    )
-    return Plate("figure_6_iso_delta_e", caption, figure, table)
 
 
 def show_heights_of(axes: Axes, curves_mm: Sequence[float], evidence: Evidence, height_mm: float) -> None:
@@ -234,8 +229,8 @@ def show_heights_of(axes: Axes, curves_mm: Sequence[float], evidence: Evidence, 
     axes.grid(alpha=0.25)
 
 
-@own_style()
-def errors_by_frequency_and_contrast(evidence: Evidence) -> Plate:
+@figure("delta_e_by_frequency_and_contrast", "Mean ΔE of 8 µm pixels by spatial frequency and contrast.")
+def errors_by_frequency_and_contrast(evidence: Evidence) -> Drawing:
     """Show the mean ΔE in cells of frequency and contrast, at 8 µm."""
     places, contrast, values = frequency_contrast_table(evidence.maps[FIGURE_5_PITCH_UM], evidence.border(FIGURE_5_PITCH_UM))
     frequency = evidence.frequency_lp_per_mm(places)
@@ -249,7 +244,5 @@ def errors_by_frequency_and_contrast(evidence: Evidence) -> Plate:
     axes.set_yticks(range(contrast.size), [f"{value:.2g}" for value in contrast])
     axes.set(xlabel="spatial frequency on the sensor (lp/mm)", ylabel=CONTRAST_LABEL)
     figure.colorbar(image, ax=axes, label="mean ΔE", extend="max")
-    table: dict[str, Column] = {"contrast": contrast.tolist()}
-    table |= {f"delta_e_at_{value:.3g}_lp_per_mm": values[:, index].tolist() for index, value in enumerate(frequency)}
-    caption = f"Mean ΔE of {FIGURE_5_PITCH_UM:g} µm pixels by spatial frequency and contrast."
-    return Plate("delta_e_by_frequency_and_contrast", caption, figure, table)
+    columns = {f"delta_e_at_{value:.3g}_lp_per_mm": values[:, index] for index, value in enumerate(frequency)}
+    return figure, {"contrast": contrast, **columns}

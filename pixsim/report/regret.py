@@ -7,9 +7,8 @@ from itertools import cycle
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.tables import Column
-from pixsim.show.figures import LOOKS, literal, new_figure, own_style
-from pixsim.show.pages import Plate
+from pixsim.show.figures import LOOKS, literal, new_figure
+from pixsim.show.pages import Drawing, figure
 from pixsim.studies.curve import Curve
 from pixsim.studies.paired import mean_interval
 from pixsim.studies.regret import Regrets
@@ -19,15 +18,19 @@ MAX_REGRET_PERCENT = 100.0  # that is drawn
 HEADROOM = 1.05  # of an axis, so that no mark is cut
 
 
-@own_style()
-def regrets_plate(regrets: Regrets, pitch_um: Array, name: str = REGRETS) -> Plate:
+@figure(
+    "regrets",
+    "Regret of each metric or condition against pixel size, from the fitted curves: its value over that of its best size, less 1 "
+    "(the best value over the value, less 1, where more is better). Marks are the best sizes.",
+)
+def regrets_plate(regrets: Regrets, pitch_um: Array) -> Drawing:
     """Draw the regret of each metric or condition against pixel size, and its best size.
 
     pitch_um : (n,) of the rows of the figure's table
     """
     figure = new_figure(6.4, 3.8)
     axes = figure.subplots()
-    table: dict[str, Column] = {"pitch_um": pitch_um.tolist()}
+    table: dict[str, Array] = {"pitch_um": pitch_um}
     largest = 0.0
     for criterion, look in zip(regrets.criteria, cycle(LOOKS), strict=False):
         best_um = criterion.optimum.pitch_um
@@ -36,27 +39,28 @@ def regrets_plate(regrets: Regrets, pitch_um: Array, name: str = REGRETS) -> Pla
         axes.plot(criterion.pitch_um, along, lw=1.5, label=literal(f"{criterion.name}{weight}: {best_um:.2f} µm"), **look.stroke)
         axes.plot(best_um, 0.0, look.marker, ms=6, mfc="white", mec=look.colour, clip_on=False)
         largest = max(largest, float(along[np.isfinite(along)].max()))
-        table[f"{criterion.name} regret"] = criterion.regret(pitch_um).tolist()
+        table[f"{criterion.name} regret"] = criterion.regret(pitch_um)
     top = HEADROOM * min(largest, MAX_REGRET_PERCENT)
     axes.set(xlabel="pixel size (µm)", ylabel="regret (%)", ylim=(0, top or 1.0))
     axes.grid(alpha=0.25)
+    axes.set_title(literal(regrets.label), fontsize=9)
     axes.legend(frameon=False, fontsize=8)
-    caption = (
-        f"Regret of each {regrets.kind} against pixel size ({regrets.label}): its value over that of its best size, less 1 (the "
-        "best value over the value, less 1, where more is better), from the fitted curves. Marks are the best sizes."
-    )
-    return Plate(name, caption, figure, table)
+    return figure, table
 
 
-@own_style()
-def metrics_against_pitch(curve: Curve) -> Plate:
+@figure(
+    "metrics",
+    "Each metric in its own unit. Points: means over sensors with 95 % intervals; lines: fitted curves, where a metric tells a "
+    "best size; triangles: the best sizes.",
+)
+def metrics_against_pitch(curve: Curve) -> Drawing:
     """Draw each metric against pixel size in its own unit: means of sensors, and the fitted curve with its best size."""
     metrics = curve.metrics
     fits = {curve.metric.name: curve.fit} | curve.fits
     rows = -(-len(metrics) // 2)
     figure = new_figure(6.4, 0.6 + 2.1 * rows)
     panels = figure.subplots(rows, 2, squeeze=False, sharex=True).ravel()
-    table: dict[str, Column] = {"pitch_um": curve.pitch_um.tolist()}
+    table: dict[str, Array] = {"pitch_um": curve.pitch_um}
     for axes, metric in zip(panels, metrics, strict=False):
         values = curve.statistics[metric.columns[0]]
         low, mean, high = np.transpose([_finite_interval(sensors) for sensors in values])
@@ -70,19 +74,13 @@ def metrics_against_pitch(curve: Curve) -> Plate:
         if np.nanmin(mean) >= 0:
             axes.set_ylim(0, HEADROOM * max(axes.get_ylim()[1], float(np.nanmax(mean))))
         axes.grid(alpha=0.25)
-        table[metric.columns[0]], table[f"{metric.columns[0]}_ci95"] = mean.tolist(), half.tolist()
+        table |= {metric.columns[0]: mean, f"{metric.columns[0]}_ci95": half}
     for axes in panels[len(metrics) :]:
         axes.set_axis_off()
     for axes in panels[-2:]:
         axes.set_xlabel("pixel size (µm)")
-    untold = [metric.words for metric in metrics if metric.name not in fits]
-    caption = (
-        f"Each metric in its own unit ({curve.label}). Points: means over sensors with 95 % intervals; lines: fitted curves; "
-        "triangles: the best sizes."
-    )
-    if untold:
-        caption += f" No best size is told by {', '.join(untold)}."
-    return Plate("metrics", caption, figure, table)
+    figure.suptitle(literal(curve.label), fontsize=9)
+    return figure, table
 
 
 def _finite_interval(values: Array) -> tuple[float, float, float]:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.tables import Column
 from pixsim.base.toml import SETTINGS_FILE
 from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.paper import PAPER_PLATES, map_plates, numbered, scene_plates
@@ -39,8 +38,8 @@ from pixsim.show.document import (
     made_with,
     pairs,
 )
-from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, new_figure, own_style
-from pixsim.show.pages import Drawn, Figures, Plate, figure_files
+from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, literal, new_figure
+from pixsim.show.pages import Drawing, Drawn, Figures, Plate, figure, figure_files
 from pixsim.show.pictures import scale
 from pixsim.show.render import lines
 from pixsim.show.sentences import capital
@@ -50,7 +49,6 @@ from pixsim.studies.design import imaging_of
 from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.merit import (
     NEQ,
-    csf_range_lp_per_mm,
     detail_frequency_lp_per_mm,
     longest_path_um,
     mpe30_lx_s,
@@ -74,8 +72,8 @@ ANSWERS_SHOWN = 12  # optima at the top
 LEGEND_HEADROOM = 1.35  # over the highest point, for a legend of three lines
 
 
-@own_style()
-def other_statistics(result: StudyResult, curve: Curve) -> Plate:
+@figure("other_statistics", "Statistics of ΔE of the same pictures against pixel size, each divided by its minimum.")
+def other_statistics(curve: Curve) -> Drawing:
     """Plot the mean, percentiles and maximum of ΔE against pitch, each over its minimum."""
     figure = new_figure(6.4, 3.6)
     axes = figure.subplots()
@@ -85,17 +83,16 @@ def other_statistics(result: StudyResult, curve: Curve) -> Plate:
     axes.set(xlabel="pixel size (µm)", ylabel="ΔE over its minimum", ylim=(0.9, 3.0))
     axes.grid(alpha=0.25)
     axes.legend(frameon=False, fontsize=8, handlelength=LEGEND_LINE)
-    caption = f"Statistics of ΔE of the same pictures ({curve.label}) against pixel size, each divided by its minimum."
-    if csf_range_lp_per_mm(result.irradiance):
-        caption += (
-            " The maximum belongs to single dots in the darkest bars, where S-CIELAB, which blurs colour more widely than "
-            "luminance, is most sensitive."
-        )
-    return Plate("other_statistics", caption, figure, curve_table([curve]))
+    axes.set_title(literal(curve.label), fontsize=9)
+    return figure, curve_table([curve])
 
 
-@own_style()
-def optimum_against_technology(result: StudyResult) -> Plate:
+@figure(
+    "optimum_against_technology",
+    "Optimal pixel size of each process against its feature size. The line goes through the largest process, as if the optimum "
+    "were proportional to the feature size.",
+)
+def optimum_against_technology(result: StudyResult) -> Drawing:
     """Plot the optima with their intervals, and the line of an optimum proportional to the feature size."""
     curves = sorted(result.curves, key=lambda curve: curve.feature_size_um)
     feature_um = np.array([curve.feature_size_um for curve in curves])
@@ -110,24 +107,25 @@ def optimum_against_technology(result: StudyResult) -> Plate:
     axes.set(xlabel="feature size (µm)", ylabel="optimal pixel size (µm)", xlim=(0, None), ylim=(0, None))
     axes.grid(alpha=0.25)
     axes.legend(frameon=False)
-    table = {
+    return figure, {
         "technology": [curve.label for curve in curves],
-        "feature_size_um": feature_um.tolist(),
-        "optimum_um": size_um.tolist(),
+        "feature_size_um": feature_um,
+        "optimum_um": size_um,
         **range_columns("interval", curves),
-        "optimum_features": (size_um / feature_um).tolist(),
+        "optimum_features": size_um / feature_um,
         "mean_delta_e": [curve.optimum.mean_delta_e for curve in curves],
-        "proportional_um": proportional.tolist(),
+        "proportional_um": proportional,
     }
-    caption = (
-        "Optimal pixel size of each process against its feature size. The line goes through the largest process, as if the optimum "
-        "were proportional to the feature size."
-    )
-    return Plate("optimum_against_technology", caption, figure, table)
 
 
-@own_style()
-def light_against_detail(result: StudyResult, curve: Curve) -> Plate:
+@figure(
+    "light_against_detail",
+    "Detail and light against pixel size, the two sides of the trade-off. Above: MTF50, the frequency at which the MTF is one "
+    "half, on the sensor and on the display (higher is better), and the minimum exposure on the sensor for an SNR of 30 dB "
+    "(equation 2 at 30 ms; lower is better). Below: MTF of each term at the finest detail of the scene, or at half the Nyquist "
+    "frequency of the best pixels, and their product.",
+)
+def light_against_detail(result: StudyResult, curve: Curve) -> Drawing:
     """Plot MTF50 and MPE30 of each pitch, the two sides of the trade-off, and the MTF of each blur term at fine detail."""
     pixels = [result.physics(curve.technology, pitch_um) for pitch_um in curve.pitch_um.tolist()]
     paths_um = [longest_path_um(result, curve, pitch_um) for pitch_um in curve.pitch_um.tolist()]
@@ -148,28 +146,20 @@ def light_against_detail(result: StudyResult, curve: Curve) -> Plate:
     other.spines["right"].set_visible(True)
     axes.legend(handles=[*detail, *light], frameon=False, loc="upper right", handlelength=LEGEND_LINE)
 
-    frequency, name = detail_frequency_lp_per_mm(result.irradiance, curve.optimum.pitch_um)
+    frequency, _ = detail_frequency_lp_per_mm(result.irradiance, curve.optimum.pitch_um)
     of_pixels = [
         study_mtf_terms(result, physics, np.array(frequency), path) for physics, path in zip(pixels, paths_um, strict=True)
     ]
     terms = {term: np.array([float(values[term]) for values in of_pixels]) for term in of_pixels[0]}
     shown = draw_terms(lower, curve.pitch_um, terms, result.study.display.interpolation)
-    table: dict[str, Column] = {
-        "pitch_um": curve.pitch_um.tolist(), "mtf50_lp_per_mm": mtf50, "shown_mtf50_lp_per_mm": shown50, "mpe30_lx_s": mpe30,
-    }  # fmt: skip
-    table |= {
-        f"{term.replace(' ', '_')}_mtf_at_{frequency:.3g}_lp_per_mm": mtf.tolist()
-        for term, mtf in (terms | {"shown": shown}).items()
+    exposures = {"mtf50_lp_per_mm": mtf50, "shown_mtf50_lp_per_mm": shown50, "mpe30_lx_s": mpe30}
+    contrasts = {
+        f"{term.replace(' ', '_')}_mtf_at_{frequency:.3g}_lp_per_mm": mtf for term, mtf in (terms | {"shown": shown}).items()
     }
     lower.set(xlabel="pixel size (µm)", ylabel=f"MTF at {frequency:.3g} lp/mm", ylim=(0, 1.02))
     lower.grid(alpha=0.25)
-    caption = (
-        f"Detail and light against pixel size ({curve.label}), the two sides of the trade-off. Above: MTF50, the frequency at "
-        "which the MTF is one half, on the sensor and on the display (higher is better), and the minimum exposure on the sensor "
-        "for an SNR of 30 dB (equation 2 at 30 ms; lower is better). "
-        f"Below: MTF of each term at {frequency:.3g} lp/mm, {name}, and their product."
-    )
-    return Plate("light_against_detail", caption, figure, table)
+    axes.set_title(literal(curve.label), fontsize=9)
+    return figure, {"pitch_um": curve.pitch_um, **exposures, **contrasts}
 
 
 # In the paper, of curves that any study has.
@@ -209,7 +199,7 @@ def draw_section(
         plates = [plate.named(f"pictures_{curve.file_label}")]
         views = study_views(result, curve, scores[0])
     elif section.kind == "more":
-        plates = [other_statistics(result, first)] if first.judged_by_delta_e else []
+        plates = [other_statistics(first)] if first.judged_by_delta_e else []
         plates.append(light_against_detail(result, first))
     elif section.kind == "paper's scene":
         plates = scene_plates(result)

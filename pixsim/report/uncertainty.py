@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 from pixsim.show.document import Answer, Block, Document, DocumentTable, Fact, Link, Plot, Section, headline
-from pixsim.show.figures import COLOURS, literal, new_figure, own_style
-from pixsim.show.pages import Plate, figure_files
+from pixsim.show.figures import COLOURS, literal, new_figure
+from pixsim.show.pages import Drawing, figure, figure_files
 from pixsim.show.sentences import capital
 from pixsim.studies.result import StudyResult
 from pixsim.studies.uncertainty import SCATTER, UncertaintyResult, input_labels
@@ -18,10 +17,6 @@ MOST_RESULTS = 20  # technologies × values × conditions with a section of the 
 DRAWN = (
     "Numbers of the sensor that are known only within a range are drawn at random from it, all at once. Each draw is a sensor "
     "type; the study finds its optimum. All types have the same random numbers, so that they differ by their inputs only. "
-)
-DISTRIBUTION = (
-    "Numbers of sensor types by their optimal pixel size (left) and their best value (right). Vertical lines: the median; grey: "
-    "nine tenths. An optimum at an end of the sizes tried counts as that size."
 )
 SHARES = (
     "Shares of the variance that inputs explain, each with its standard error. Numbers whose order ties them are one input. The "
@@ -60,7 +55,7 @@ def uncertainty_document(result: StudyResult) -> Document:
 
 def _blocks(result: UncertaintyResult, number: int) -> list[Block]:
     """Return the figure and the tables of one optimum."""
-    blocks: list[Block] = [Plot(partial(distribution_plate, result, f"uncertainty_distribution_{number}"))]
+    blocks: list[Block] = [Plot(lambda: distribution_plate(result).named(f"uncertainty_distribution_{number}"))]
     if result.verdicts:
         rows = [(name, str(probability)) for name, probability in result.verdicts.items()]
         blocks.append(DocumentTable("probabilities", ("statement", "probability that it holds (95 % interval)"), rows, words=None))
@@ -81,8 +76,12 @@ def shares_table(result: UncertaintyResult) -> DocumentTable:
     return DocumentTable("shares of the variance", head, rows, words=None)
 
 
-@own_style()
-def distribution_plate(result: UncertaintyResult, name: str) -> Plate:
+@figure(
+    "uncertainty_distribution",
+    "Numbers of sensor types by their optimal pixel size (left) and their best value (right). Vertical lines: the median; grey: "
+    "nine tenths. An optimum at an end of the sizes tried counts as that size.",
+)
+def distribution_plate(result: UncertaintyResult) -> Drawing:
     """Plot histograms of the optimum and of the least ΔE, or of the best value, over the sensor types."""
     figure = new_figure(9.0, 3.2)
     unit = f" ({result.metric.unit})" if result.metric.unit else ""
@@ -96,8 +95,7 @@ def distribution_plate(result: UncertaintyResult, name: str) -> Plate:
         axes.axvline(median, color="0.2", lw=1.2)
         axes.set(xlabel=literal(title), ylabel="sensor types")
         axes.locator_params(axis="y", integer=True)  # counts
-    table = {column: result.table[column].tolist() for column in (*result.outputs, "inside")}
-    return Plate(name, DISTRIBUTION, figure, table)
+    return figure, {column: result.table[column] for column in (*result.outputs, "inside")}
 
 
 def uncertainty_blocks(results: Sequence[UncertaintyResult]) -> tuple[Block, ...]:

@@ -72,7 +72,7 @@ def every_plate(evidence: Evidence) -> dict[str, Plate]:
         light_against_detail(result, evidence.curves["0.35um"]),
         delta_e_against_pitch(result, [curve]),
         delta_e_against_pitch(result, result.curves, "delta_e_against_pitch_all"),
-        other_statistics(result, curve),
+        other_statistics(curve),
         study_pictures(result, curve, scores[0], [score.delta_e for score in scores]).named("pictures_0.35um"),
         optimum_against_technology(scaled(result)),
     ]
@@ -373,12 +373,6 @@ def test_fill_factor_axis_has_ticks(tiny_result: StudyResult, fill_factor: tuple
     (axes,) = delta_e_against_pitch(tiny_result, [curve]).figure.axes
     assert len(axes.child_axes) == there
     assert all(item.get_xlabel() == "fill factor (%)" and len(item.get_xticks()) > 3 for item in axes.child_axes)
-
-
-def test_other_statistics_caption_by_chart(tiny_result: StudyResult, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert "darkest bars" in other_statistics(tiny_result, tiny_result.curves[0]).caption
-    monkeypatch.setitem(tiny_result.irradiance.header, "scene", "still_life.xml")
-    assert "darkest bars" not in other_statistics(tiny_result, tiny_result.curves[0]).caption
 
 
 # --- axes -------------------------------------------------------------------------------------------------------------

@@ -198,7 +198,7 @@ def test_tables_of_regrets_have_all_numbers_in_80_columns() -> None:
 
 def test_regrets_have_the_same_numbers_in_figure_csv_and_json() -> None:
     (regrets,) = condition_regrets(STUDY, exact())
-    plate, table = regrets_plate(regrets, PITCH_UM, "regrets_1"), regrets_columns([regrets])
+    plate, table = regrets_plate(regrets, PITCH_UM), regrets_columns([regrets])
     assert plate.table["day regret"] == regrets.criteria[0].regret(PITCH_UM).tolist()
     assert table["best_of"] == [*NAMES, "weighted mean"]
     assert table["weight"] == [0.75, 0.25, 0.0, ""]

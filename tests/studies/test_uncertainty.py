@@ -192,7 +192,7 @@ def test_all_optima_at_an_end() -> None:
     assert result.as_dict()["optimum_um"] == {"quantiles": dict.fromkeys(("p05", "p50", "p95"), 10.0), "share_at_ends": 1.0}
     json.dumps(result.as_dict(), allow_nan=False)
     assert {cell for row in shares_table(result).rows for cell in row[1:]} == {"unknown"}
-    distribution_plate(result, "plate").drawn()
+    distribution_plate(result).drawn()
 
 
 def test_quantiles_match_numpy() -> None:
@@ -409,7 +409,7 @@ def test_as_dict_and_csv(result: UncertaintyResult) -> None:
 
 
 def test_figure_and_table_have_the_numbers(result: UncertaintyResult) -> None:
-    plate = distribution_plate(result, "plate")
+    plate = distribution_plate(result)
     assert plate.table["optimum_um"] == result.table["optimum_um"].tolist()
     assert plate.drawn().svg == plate.drawn().svg
     assert len(plate.csv.splitlines()) == 1 + 64
