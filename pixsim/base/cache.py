@@ -32,7 +32,7 @@ from pixsim.base.arrays import read_arrays
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import FOLDER_VARIABLE, cache_folder, read_text, subfolder, version_of
 from pixsim.base.locks import PARTIAL_FILE, remove_leftovers, unfinished
-from pixsim.base.notes import MachineWarning, warn
+from pixsim.base.notes import Note, warn
 from pixsim.base.version import VERSION
 
 Result = TypeVar("Result")
@@ -257,7 +257,7 @@ def _load(path: Path, read: Callable[[], Result]) -> Result | None:
     except (FileNotFoundError, NotADirectoryError):
         return None
     except DAMAGE as error:
-        warn(f"cache entry '{path}' is damaged ({error}) and is computed again", MachineWarning)
+        warn(Note("machine", words=f"cache entry '{path}' is damaged ({error}) and is computed again"))
         return None
     with suppress(OSError):  # a read-only cache works too
         os.utime(path, follow_symlinks=False)
@@ -277,7 +277,7 @@ def _store(path: Path, write: Callable[[Path], object], size_bytes: int) -> None
             os.replace(partial, path.name, dst_dir_fd=descriptor)
     except (OSError, PixsimError) as error:
         why = getattr(error, "strerror", None) or "a link or a file is in the way"
-        warn(f"cache folder '{path.parent}' cannot be written ({why}); set {FOLDER_VARIABLE}", MachineWarning)
+        warn(Note("machine", words=f"cache folder '{path.parent}' cannot be written ({why}); set {FOLDER_VARIABLE}"))
         return
     _written_bytes += size_bytes
     if _written_bytes > TRIM_SHARE * limit_bytes():

@@ -39,7 +39,7 @@ from pixsim.base.locks import (
     temporary_folder_of_process,
     unfinished,
 )
-from pixsim.base.notes import MachineWarning, warn
+from pixsim.base.notes import Note, warn
 from pixsim.base.schema import KEY, check_not_newer, json_text
 from pixsim.base.version import VERSION
 
@@ -244,7 +244,7 @@ def private_folder(name: str, quiet: bool = False) -> Path:
     alone.mkdir(0o700, exist_ok=True)
     if not quiet:
         hint = f"remove it, or set {FOLDER_VARIABLE} to a folder of yours"
-        warn(f"'{root / name}' {fault}: {name} are kept for this command only; {hint}", MachineWarning)
+        warn(Note("machine", words=f"'{root / name}' {fault}: {name} are kept for this command only; {hint}"))
     return alone
 
 
@@ -494,7 +494,7 @@ def are_kept(folder: Path, command: str, made_from: str) -> bool:
     return all(len(entry["digests"]) == 1 and is_own(folder / name, entry) for name, entry in own.items())
 
 
-def write_made_from(folder: Path, command: str, made_from: str, said: dict[str, list[str]] | None = None) -> None:
+def write_made_from(folder: Path, command: str, made_from: str, said: dict[str, list[Any]] | None = None) -> None:
     """State in the provenance of files that a command has just published what they were made from, for `are_kept`.
 
     said : what the command said of them, for `said_with`
@@ -503,9 +503,9 @@ def write_made_from(folder: Path, command: str, made_from: str, said: dict[str, 
     write_json(folder / PROVENANCE, _provenance(folder) | stated, named=False)
 
 
-def said_with(folder: Path) -> dict[str, list[str]]:
+def said_with(folder: Path) -> dict[str, list[Any]]:
     """Return what a command said of the files of a folder that are kept."""
-    said: dict[str, list[str]] = _provenance(folder)[SAID]
+    said: dict[str, list[Any]] = _provenance(folder)[SAID]
     return said
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from pixsim.base.arrays import strips
-from pixsim.base.notes import MachineWarning, warn
+from pixsim.base.notes import Note, warn
 
 MOST_BYTES = 1 << 28  # of an array in memory: a picture of 8192² in float32
 
@@ -39,7 +39,7 @@ def zeros(shape: tuple[int, ...], dtype: DTypeLike = float) -> NDArray[Any]:
     except OSError as error:
         folder, gib = tempfile.gettempdir(), size / (1 << 30)
         text = f"'{folder}' has no room for {gib:.1f} GiB ({error.strerror}), which memory holds instead; set TMPDIR"
-        warn(text, MachineWarning)
+        warn(Note("machine", words=text))
         return np.zeros(shape, dtype)
     return np.frombuffer(content, dtype).reshape(shape)
 

@@ -5,16 +5,60 @@ from __future__ import annotations
 import sys
 import threading
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import partial
 from pathlib import Path
+from typing import Any, Self
 
 from pixsim.base.errors import shown
+from pixsim.base.note_kinds import NOTES
 
 # Suppresses warnings, such as of clipped white, that the run itself gives once.
 without_warnings = partial(warnings.catch_warnings, action="ignore", category=UserWarning)
+
+
+class Note(str):
+    """The text of a note, with the id of its kind.
+
+    >>> note = Note("sizes_left_out", case="4t-bsi", sizes="1", reason="its photodiode has no area")
+    >>> note.id, str(note)
+    ('sizes_left_out', '4t-bsi: 1 µm left out: its photodiode has no area')
+    """
+
+    __slots__ = ("id",)
+    id: str
+
+    def __new__(cls, id: str, /, **values: Any) -> Self:
+        """Return a note of a kind.
+
+        values : those that the kind's template names
+        """
+        return cls.restored(id, shown(NOTES[id].template.format(**values)).removesuffix("."))
+
+    @classmethod
+    def restored(cls, id: str, text: str) -> Self:
+        """Return the note of a text that was made before."""
+        note = super().__new__(cls, text)
+        note.id = id
+        return note
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Note.restored, (self.id, str(self))
+
+    def of(self, names: Iterable[str]) -> Note:
+        """Return the note of some sensors or cases only, which stand before its text."""
+        return Note.restored(self.id, f"{', '.join(names)}: {self}")
+
+    @property
+    def doubts(self) -> bool:
+        """Whether it puts a number of the result in doubt; else it is advice, which --quiet hides."""
+        return NOTES[self.id].doubts
+
+    def as_dict(self) -> dict[str, str]:
+        """Return the note as in the JSON files of results."""
+        return {"id": self.id, "text": str(self)}
 
 
 class MachineWarning(UserWarning):
@@ -24,21 +68,28 @@ class MachineWarning(UserWarning):
 PACKAGE = str(Path(__file__).parents[1])
 
 
-def warn(text: str, category: type[Warning] = UserWarning) -> None:
-    """Warn of a text, made printable, at the first line outside pixsim: the user's."""
+def warn(note: Note) -> None:
+    """Warn of a note, at the first line outside pixsim: the user's. One of a machine is a MachineWarning."""
     level, frame = 2, sys._getframe(1)
     while frame.f_back and frame.f_code.co_filename.startswith(PACKAGE):
         level, frame = level + 1, frame.f_back
-    warnings.warn(shown(text), category, stacklevel=level)
+    category = MachineWarning if note.id == "machine" else UserWarning
+    warnings.warn(category(note), stacklevel=level)
 
 
-_outer: ContextVar[list[str] | None] = ContextVar("notes", default=None)
+def note_of(message: Warning | str) -> Note:
+    """Return the note of a warning; that of another library has the id "other"."""
+    content = message.args[0] if isinstance(message, Warning) and message.args else message
+    return content if isinstance(content, Note) else Note("other", words=str(content).removesuffix("."))
+
+
+_outer: ContextVar[list[Note] | None] = ContextVar("notes", default=None)
 _showing = threading.RLock()
 
 
 @contextmanager
-def collected_notes(alone: bool = False) -> Iterator[list[str]]:
-    """Collect the texts of the warnings of the block, each once; they are shown as before, by the filters of the caller.
+def collected_notes(alone: bool = False) -> Iterator[list[Note]]:
+    """Collect the notes of the warnings of the block, each once; they are shown as before, by the filters of the caller.
 
     A warning counts in whichever earlier call it was shown before; a MachineWarning is shown, and does not count. A block
     inside another shares its list: what a command said before belongs to its result.
@@ -48,17 +99,16 @@ def collected_notes(alone: bool = False) -> Iterator[list[str]]:
     if (outer := _outer.get()) is not None and not alone:
         yield outer
         return
-    notes: list[str] = []
-    of_machine: list[str] = []  # each once too: a cache folder that cannot be written fails for every entry
+    notes: list[Note] = []
+    of_machine: list[Note] = []  # each once too: a cache folder that cannot be written fails for every entry
     filters, show = list(warnings.filters), warnings.showwarning
 
     def collect(message: Warning | str, category: type[Warning], filename: str, lineno: int, *_: object, **__: object) -> None:
-        text = str(message).removesuffix(".")
         if issubclass(category, UserWarning):
-            texts = of_machine if issubclass(category, MachineWarning) else notes
-            if text in texts:
+            note, collected = note_of(message), of_machine if issubclass(category, MachineWarning) else notes
+            if note in collected:
                 return
-            texts.append(text)
+            collected.append(note)
         with _showing, warnings.catch_warnings():  # the filters are those of all threads
             warnings.resetwarnings()
             warnings.filters[:] = filters  # type: ignore[index]  # a list, though typed as a sequence
@@ -75,12 +125,16 @@ def collected_notes(alone: bool = False) -> Iterator[list[str]]:
             _outer.reset(token)
 
 
-SHOWN_NOTES = 8
+MAX_NOTES = 8
 
 
-def few(notes: Sequence[Sequence[str]]) -> list[str]:
-    """Return the notes of all cases, each once, and of very many the first ones and the number of the others."""
-    each = list(dict.fromkeys(note for part in notes for note in part))
-    if len(each) <= SHOWN_NOTES:
-        return each
-    return [*each[: SHOWN_NOTES - 1], f"and {len(each) - SHOWN_NOTES + 1} more notes of this kind, of other cases"]
+def few(notes: Sequence[Sequence[Note]]) -> list[Note]:
+    """Return the notes of all cases, once for each text, and of very many the first ones and the number of the others."""
+    texts = list(dict.fromkeys(note for part in notes for note in part))
+    if len(texts) <= MAX_NOTES:
+        return texts
+    last = texts[MAX_NOTES - 1]
+    return [
+        *texts[: MAX_NOTES - 1],
+        Note.restored(last.id, f"and {len(texts) - MAX_NOTES + 1} more notes of this kind, of other cases"),
+    ]

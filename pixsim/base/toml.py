@@ -13,7 +13,7 @@ from typing import Any
 
 from pixsim.base.errors import invalid
 from pixsim.base.files import read_text
-from pixsim.base.notes import warn
+from pixsim.base.notes import Note, warn
 from pixsim.base.schema import KEY, SCHEMA, check_not_newer, of_another
 
 MAX_BYTES = 1 << 20
@@ -63,7 +63,7 @@ def _check_schema(path: Path, text: str) -> None:
     if stated := STATED.match(text):
         check_not_newer(f"settings '{path}'", stated[1] and int(stated[1]))
         if stated[1] is None:
-            warn(f"settings '{path}' state {of_another(None)}: their results may differ from those beside them; write them anew.")
+            warn(Note("of_another_version", path=path, version=of_another(None)))
 
 
 def depth(value: object) -> int:

@@ -50,7 +50,7 @@ def run_command(tokens: Sequence[str]) -> None:
     widen_terminal()
     arguments = common.verbosity.parse(tokens)
     check_current_folder()
-    warnings.showwarning = lambda message, *_, **__: common.verbosity.note(f"warning: {message}")
+    warnings.showwarning = lambda message, *_, **__: common.verbosity.warning(message)
     common.set_cache_folders()
     interruption.begin()
     try:
@@ -212,7 +212,9 @@ def run(
             document = run_page(result, files, stage("write"))
             write(document, folder, {"seconds": seconds})
             document = run_document(result, warned=result.warned)
-            write_made_from(folder, "run", made_from, {"lines": text(document).splitlines(), "warned": list(result.warned)})
+            stored = [note.as_dict() for note in result.warned]
+            said: dict[str, list[Any]] = {"lines": text(document).splitlines(), "warned": stored}
+            write_made_from(folder, "run", made_from, said)
     answer(document, json, f"report: {folder / 'report.html'}")
 
 

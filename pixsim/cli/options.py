@@ -21,6 +21,7 @@ from pixsim.base import progress
 from pixsim.base.errors import PixsimError, did_you_mean, invalid, printable
 from pixsim.base.files import private_folder
 from pixsim.base.layers import Layer
+from pixsim.base.notes import note_of
 from pixsim.base.progress import Stage
 from pixsim.base.records import Record, as_list
 from pixsim.base.toml import packaged
@@ -51,7 +52,8 @@ app = App(
     help_format="plaintext",  # Markdown would import a parser, and color the code in backticks only
     default_parameter=Parameter(negative=()),
     help_epilogue=(
-        "Every command takes --quiet (no progress, no warnings), --verbose (times of the stages, tracebacks of errors) "
+        "Every command takes --quiet (no progress, and of the warnings only those of doubtful numbers), "
+        "--verbose (times of the stages, tracebacks of errors) "
         "and --json (results as JSON). Its --help shows the common options, its --help-all every option."
     ),
     suppress_keyboard_interrupt=False,  # main() reports it
@@ -71,8 +73,16 @@ class Verbosity:
 
     def note(self, text: str) -> None:
         if not self.quiet:
-            with interruption.printing():
-                progress.writer_to(sys.stderr)(text)
+            self._say(text)
+
+    def warning(self, message: Warning | str) -> None:
+        """Print a warning. With --quiet, only a note that puts a number in doubt."""
+        if not self.quiet or (isinstance(message, UserWarning) and note_of(message).doubts):
+            self._say(f"warning: {message}")
+
+    def _say(self, text: str) -> None:
+        with interruption.printing():
+            progress.writer_to(sys.stderr)(text)
 
 
 verbosity = Verbosity()

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pixsim.base.arrays import Array, ArrayHeader, first_where, read_arrays, strips
 from pixsim.base.errors import PixsimError, excerpt, invalid, names_in
 from pixsim.base.files import check_size, read_bytes, reason, size_of
-from pixsim.base.notes import warn
+from pixsim.base.notes import Note, warn
 from pixsim.light.exr import read_channels, read_header
 from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, bands_last_hint
 from pixsim.light.tables import POWERS, as_number, as_text, unit_of_wavelength
@@ -302,7 +302,8 @@ def read_envi(path: Path) -> Cube:
         got = f"no data ({header['data ignore value']}) at row {gap[0]}, column {gap[1]}, band {gap[2]}"
         raise invalid(f"light in '{path}'", got, "a value in every pixel", "Fill the gaps or crop them.")
     if ENVI_ORDER.search(as_text(content) or "") is None:
-        warn(f"'{path.name}' states no byte order: it is read as 0, the least significant byte first")
+        words = f"'{path.name}' states no byte order: it is read as 0, the least significant byte first"
+        warn(Note("file_as_read", words=words))
     if nm is None:
         raise invalid("ENVI file", f"'{path}' without wavelength", "a header with wavelength = { … } and wavelength units")
     if (

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from pixsim.base.errors import PixsimError
 from pixsim.base.files import read_bytes
-from pixsim.base.notes import warn
+from pixsim.base.notes import Note, warn
 
 COMMENT = "#"
 NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,4})?|[+-]?(nan|inf)", re.IGNORECASE)
@@ -208,9 +208,7 @@ def read_table(
         stated, power = units[at]
         highest = max(float(row[at]) for row in rows)
         if stated == "%" and highest <= 1:
-            warn(
-                f"'{path}' states per cent, and no value is above {highest:g} %: it is read so. Fractions have no % in their title"
-            )
+            warn(Note("per_cent", path=path, highest=highest))
         scaled = tuple(_scaled(row[at], power) for row in rows)
         columns.append(Column(names[at], "" if stated == "%" else stated, scaled))
     nm = tuple(_scaled(row[0], POWERS[unit or "nm"]) for row in rows)

@@ -12,11 +12,12 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.digits import number
+from pixsim.base.notes import Note
 from pixsim.measure.estimators import LINEARITY_SHARES, SENSITIVITY_SHARE, straight_line
 from pixsim.sensor.labels import file_label, label_of
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import BLACK_SIGMAS
-from pixsim.show.document import Answer, Document, DocumentTable, Note, Plot, Section, headline, made_with, pairs
+from pixsim.show.document import Answer, Document, DocumentTable, Plot, Section, headline, made_with, pairs
 from pixsim.show.figures import COLOURS, LOOKS, Look, finish, new_figure, own_style, plain_powers
 from pixsim.show.pages import Plate, figure_files
 from pixsim.show.sentences import setting_value
@@ -308,7 +309,7 @@ def datasheet_document(sheet: DataSheet) -> Document:
         title=f"Data sheet of {pixel.pitch_um:g} µm pixels",
         data=sheet.as_dict(),
         answers=(described(sheet),),
-        lead=map(Note, sheet.notes),
+        lead=[Note("data_sheet", words=text) for text in sheet.notes],
         about=(
             "Measured on simulated frames of one device, as in a laboratory: the estimators use the frames only, not the pixel's "
             "parameters. Each value has its standard error, the true value, and the source of the true value.",

@@ -29,7 +29,7 @@ from pixsim.base.arguments import LARGEST, SMALLEST, Positive, checks_arguments,
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, excerpt, invalid
-from pixsim.base.notes import collected_notes, warn
+from pixsim.base.notes import Note, collected_notes, warn
 from pixsim.base.records import UnitInterval
 from pixsim.base.result import Result
 from pixsim.sensor.colour import Layout
@@ -122,7 +122,7 @@ class EdgeResponse(Result):
     nyquist_cy_per_px: float = NYQUIST_CY_PER_PX
     channel: str | None = None
     pitch_um: Positive | None = None
-    notes: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
 
     @property
     def half_window_px(self) -> float:
@@ -382,9 +382,7 @@ def green_places(data: Array, channel: str, start: tuple[int, int]) -> list[tupl
         got = "'G' of a picture that states no layout, and in which no diagonal of 2 × 2 pixels stands out as green"
         raise invalid("channel", got, "row,column", hint)
     places = " and ".join(f"{row},{column}" for row, column in alike)
-    warn(
-        f"the picture states no layout: green is taken to be at {places} (row,column) of 2 × 2 pixels, which agree with each other."
-    )
+    warn(Note("edge_channel", places=places))
     return list(alike)
 
 
@@ -470,9 +468,7 @@ def contrast_of(parts: Sequence[WeightedChannel]) -> float:
             raise invalid("edge picture", got, f"at least {MIN_STEP_SIGMAS:g} σ", hint)
     below = -min(low, high) / abs(high - low)
     if below > MAX_BELOW_BLACK:
-        warn(
-            f"edge picture: the dark side is below black by {below:.1%} of the step: the black level is too high for the contrast."
-        )
+        warn(Note("edge_black", share=below))
     return float(contrast)
 
 
@@ -528,9 +524,9 @@ def check_clipping(grids: Sequence[ChannelGrid], is_unclipped: bool) -> None:
             got = f"a {name} side with {at_top:.1%} of its pixels at exactly {sign * top:g} above black, "
             got += f"beside noise of σ = {noise * code:.3g} on the other side"
             if name == "dark":
-                warn(f"edge picture: {got}: clipped at black? This sharpens the edge.")
+                warn(Note("edge_clipped", words=f"{got}, as if it were clipped at black"))
             elif is_unclipped:
-                warn(f"edge picture: {got}: clipped? This sharpens the edge.")
+                warn(Note("edge_clipped", words=f"{got}, as if it were clipped"))
             else:
                 hint = "Use less light. If these values are right, state a --saturation above them (is_unclipped=True)."
                 raise invalid(
@@ -559,7 +555,7 @@ def check_kinks(grids: Sequence[ChannelGrid], fit: EdgeFit, binned: Binned, is_u
     ]
     if not any(clipped) or max(kinks) < MIN_KINK_RATIO * min(kinks):
         if all(clipped):
-            warn("edge picture: the edge has a kink at both sides: no lens blurs it so, or both are clipped, which sharpens it.")
+            warn(Note("edge_clipped", words="a kink at both sides, which no lens leaves and clipping does"))
         return
     at = int(np.argmax(kinks))
     if not clipped[at]:
@@ -568,7 +564,7 @@ def check_kinks(grids: Sequence[ChannelGrid], fit: EdgeFit, binned: Binned, is_u
     got = f"a {name} side at exactly {levels[at]:g} above black that the edge runs into at {kinks[at]:.0%} of its steepest slope, "
     got += f"beside {kinks[1 - at]:.0%} on the other side"
     if is_unclipped:
-        warn(f"edge picture: {got}: clipped? This sharpens the edge.")
+        warn(Note("edge_clipped", words=f"{got}, as if it were clipped"))
         return
     hint = f"Use {'less light' if name == 'bright' else 'a higher black level'}. If these values are right, state a --saturation "
     hint += "above them (is_unclipped=True)."
@@ -755,10 +751,7 @@ def warn_of_misfit(residual_px: Array, noise_px: Array, degree: int, spacing: in
     misfit = math.sqrt(max(scatter**2 - noise**2, 0.0))
     if misfit > MAX_MISFIT_PX * spacing and scatter**2 > MIN_MISFIT_RATIO * noise**2:
         loss = -math.expm1(-2 * (math.pi * misfit * NYQUIST_CY_PER_PX) ** 2)
-        warn(
-            f"edge picture: the edge is no polynomial of degree {degree}: its rows scatter about it by {misfit:.2g} px (RMS), "
-            f"which lowers the SFR at Nyquist by about {loss:.0%}; take a region in which it is even."
-        )
+        warn(Note("edge_shape", degree=degree, misfit_px=misfit, loss=loss))
 
 
 def distance_from_edge(grid: ChannelGrid, fit: EdgeFit) -> Array:
@@ -958,8 +951,8 @@ def warn_of_curve(edge: EdgeResponse) -> None:
             continue
         at = int(np.flatnonzero(among)[edge.sfr[among].argmax()])
         low, high = edge.sfr_interval[:, at]
-        range_text = f"the noise leaves {low:.3g} to {high:.3g}"
-        warn(f"edge picture: {cause}: the SFR is {highest:.3g} at {edge.frequency_cy_per_px[at]:.3f} cy/px; {range_text}.")
+        frequency = edge.frequency_cy_per_px[at]
+        warn(Note("edge_sharpened", cause=cause, sfr=highest, frequency_cy_per_px=frequency, low=low, high=high))
 
 
 def warn_of_shading(distance_px: Array, spread: Array, variance: Array) -> None:
@@ -978,11 +971,7 @@ def warn_of_shading(distance_px: Array, spread: Array, variance: Array) -> None:
     step = abs(float(spread[sides[1]].mean() - spread[sides[0]].mean()))
     change = (slopes[1] - slopes[0]) * half_px
     if abs(change) > max(MAX_SHADING * step, SHADING_SIGMAS * math.sqrt(sum(errors)) * half_px):
-        warn(
-            f"edge picture: shading: beside the edge the light changes by {abs(change) / step:.1%} of the step within "
-            f"{half_px:g} px, which the SFR takes for blur or sharpening at low frequency; correct the picture with a flat field, "
-            "or take a smaller region."
-        )
+        warn(Note("edge_shading", change=abs(change) / step, distance_px=half_px))
 
 
 def warn_of_correlation(grids: Sequence[ChannelGrid], fit: EdgeFit, distance_px: Array, spread: Array) -> None:
@@ -1000,10 +989,7 @@ def warn_of_correlation(grids: Sequence[ChannelGrid], fit: EdgeFit, distance_px:
         if pairs.any() and noise[beside].std() > MIN_NOISE * step:
             found.append(float((noise[:, 1:] * noise[:, :-1])[pairs].mean() / (noise[beside] ** 2).mean()))
     if found and max(found) > MAX_CORRELATION:
-        warn(
-            f"edge picture: the noise of neighbouring pixels is correlated ({max(found):.2f}), as after demosaicking, denoising or "
-            "scaling: the intervals are too narrow."
-        )
+        warn(Note("edge_noise", correlation=max(found)))
 
 
 # Of what a file states about a picture.
@@ -1042,8 +1028,7 @@ def read_edge_picture(path: Path, channel: str | None = None) -> EdgePicture:
     if data.dtype.kind not in "biuf":
         raise invalid("edge picture", f"'{path}' of {data.dtype}", "real numbers")
     if ENCODING in metadata:
-        stated = f"'{path}' states an encoding for displays ({metadata[ENCODING]})"
-        warn(f"{stated}: the SFR is that of light only if the values are linear in it.")
+        warn(Note("edge_encoded", path=path, encoding=metadata[ENCODING]))
     rgb = None
     if data.ndim == 3:
         rgb = channel or LUMINANCE
@@ -1066,7 +1051,8 @@ def read_edge_picture(path: Path, channel: str | None = None) -> EdgePicture:
         numbers[name] = value
     if stated_number(metadata, "saturated_fraction") > MAX_SATURATED:
         share = stated_number(metadata, "saturated_fraction")
-        warn(f"'{path}' states {share:.1%} saturated pixels, which need not be at the top code; beside the edge they sharpen it.")
+        words = f"'{path}' states {share:.1%} saturated pixels, which need not be at the top code and may lie beside it"
+        warn(Note("edge_clipped", words=words))
     bits = numbers.get("bits", BITS_OF_PICTURES if is_image and data.dtype == np.uint16 else None)
     top = numbers.get("white_level_dn", None if bits is None else 2.0**bits - 1)
     layout_text = None if layout is None or len(layout.channels) < 2 else str(layout)

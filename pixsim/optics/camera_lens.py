@@ -22,7 +22,7 @@ from pydantic import TypeAdapter, ValidationError
 from pixsim.base import cache
 from pixsim.base.arrays import WORTH_THREADS, Array, in_threads, strips
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.notes import warn
+from pixsim.base.notes import Note, warn
 from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera, CameraOptions
@@ -106,10 +106,7 @@ def camera_with_lens(camera: Camera, given: CameraOptions, chosen: LensOptions) 
         farthest_mm = abs(float(own.chief_ray(own.max_field_deg, own.primary_nm).height_mm))
         scaled_mm = float(f"{focal_mm * field_mm / farthest_mm:.6g}") if farthest_mm else focal_mm
         if of_user and abs(scaled_mm / focal_mm - 1) > OTHER_SCALE:  # a lens that exists; packaged ones are designs
-            warn(
-                f"lens '{own.prescription.name}' of {focal_mm:.5g} mm is scaled so that its largest field reaches the corner of "
-                f"the die: lens.focal_length_mm = {focal_mm:.5g} leaves it as it is in its file"
-            )
+            warn(Note("lens_scaled", lens=own.prescription.name, focal_mm=focal_mm))
     else:
         scaled_mm = chosen.focal_length_mm
     lens = TracedLens(

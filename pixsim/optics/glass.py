@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PLAIN_WORD, excerpt, invalid, names_in, one_line, quoted
 from pixsim.base.files import read_bytes
-from pixsim.base.notes import warn
+from pixsim.base.notes import Note, warn
 
 LINES_UM = {"F": 0.4861327, "d": 0.5875618, "C": 0.6562725}  # of hydrogen and helium, which define n_d and V_d
 CAUCHY_UM = (0.4, 0.75)  # where two numbers describe a glass well enough to be used
@@ -270,7 +270,7 @@ def find_glass(
                 got = f"{named(name)}, which is not in the catalogues that the file names ({', '.join(names_in(makers))})"
                 return _refuse(where, got, ", ".join(found), f"Glasses of one name differ between makers. {hint}".strip())
             lacking = ", ".join(names_in(unknown))
-            warn(f"{where}: {named(name)} is taken from {glass.name}; the file names catalogues that pixsim lacks ({lacking})")
+            warn(Note("glass_elsewhere", where=where, glass=named(name), catalogue=glass.name, missing=lacking))
             of_listed = found
         found = of_listed[:1]
     elif ":" not in wanted and len(found) == 1 and _is_shared(wanted, found[0]):

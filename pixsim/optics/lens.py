@@ -28,7 +28,7 @@ from pixsim.base.arguments import Bounds, Positive, check_broadcast, checks_argu
 from pixsim.base.arrays import Array, Finites, Positives, in_threads
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.layers import Layer
-from pixsim.base.notes import warn
+from pixsim.base.notes import Note, warn
 from pixsim.base.records import checked
 from pixsim.optics.ghosts import Ghost, ghosts_of, reflectances
 from pixsim.optics.glass import AIR, Glass
@@ -172,7 +172,7 @@ def lens_of(prescription: Prescription) -> Lens:
     lens = _without_fields(prescription)
     notes = list(prescription.notes)
     largest_deg, limit = _largest_field(lens)
-    notes += [f"{lens._named}: {limit}"] if limit else []
+    notes += [Note("lens_fields", lens=prescription.name, words=limit)] if limit else []
     lens = lens.with_same_rays(max_field_deg=largest_deg)
     if prescription.vignetting:
         lens = lens.with_same_rays(vignetting=_vignetting(lens, prescription.vignetting))
@@ -295,9 +295,9 @@ def _vignetting(lens: Lens, rows: tuple[Vignetting, ...]) -> tuple[tuple[float, 
 
 
 @lru_cache(maxsize=32)
-def _notes_of_stopped_light(lens: Lens) -> tuple[str, ...]:
+def _notes_of_stopped_light(lens: Lens) -> tuple[Note, ...]:
     """Return notes on light that fixed semi-diameters and vignetting factors would stop, or do stop."""
-    prescription, notes = lens.prescription, []
+    prescription, texts = lens.prescription, []
     if not (prescription.fixed or lens.vignetting or prescription.spare_vignetting):
         return ()
     fields, own = _light(lens)
@@ -310,22 +310,22 @@ def _notes_of_stopped_light(lens: Lens) -> tuple[str, ...]:
             replace(one, clips=one.clips or index in prescription.fixed) for index, one in enumerate(prescription.surfaces)
         )
         clipped = lens.with_same_rays(prescription=replace(prescription, surfaces=surfaces, fixed=()))
-        notes.append(
-            f"{lens._named}: fixed semi-diameters of {len(prescription.fixed)} surfaces stop no rays, since they are no apertures."
+        texts.append(
+            f"fixed semi-diameters of {len(prescription.fixed)} surfaces stop no rays, since they are no apertures."
             f' {words(clipped)} if they did: lens.semi_diameters = "clip"'
         )
     if prescription.vignetting and lens.vignetting:
-        notes.append(
-            f"{lens._named}: its vignetting factors are used. {words(lens.with_same_rays(vignetting=()))} without them: "
+        texts.append(
+            f"its vignetting factors are used. {words(lens.with_same_rays(vignetting=()))} without them: "
             'lens.vignetting_factors = "ignore"'
         )
     if prescription.spare_vignetting:
         rows = _vignetting(lens, prescription.spare_vignetting)
-        notes.append(
-            f"{lens._named}: its vignetting factors are not used, so that nothing is cut twice. "
+        texts.append(
+            "its vignetting factors are not used, so that nothing is cut twice. "
             f'{words(lens.with_same_rays(vignetting=rows))} with them: lens.vignetting_factors = "use"'
         )
-    return tuple(notes)
+    return tuple(Note("lens_stops_light", lens=prescription.name, words=text) for text in texts)
 
 
 def _light(lens: Lens) -> tuple[Array, Array]:

@@ -20,6 +20,7 @@ from pydantic import Field
 from pixsim.base.errors import PLAIN_WORD, PixsimError, did_you_mean, excerpt, invalid, names_in, one_line, quoted
 from pixsim.base.files import read_text
 from pixsim.base.layers import Layer
+from pixsim.base.notes import Note
 from pixsim.base.records import AnyNumber, Record, checked
 from pixsim.base.toml import packaged, read_toml
 from pixsim.optics.glass import (
@@ -152,7 +153,7 @@ class Prescription:
     vignetting: tuple[Vignetting, ...] = field(default=(), repr=False)
     spare_vignetting: tuple[Vignetting, ...] = field(default=(), repr=False)
     fixed: tuple[int, ...] = field(default=(), repr=False)
-    notes: tuple[str, ...] = field(default=(), repr=False)
+    notes: tuple[Note, ...] = field(default=(), repr=False)
 
     def scaled(self, factor: float) -> Prescription:
         """Return the prescription with every length times `factor`, above 0."""
@@ -200,7 +201,7 @@ def read_prescription(file: str, options: PrescriptionOptions | None = None) -> 
             own.setdefault(full, glass)
     prescription = READERS[kind](path, options, own)
     if own and not any(glass.name.partition(", n_d ")[0] in own for glass in prescription.glasses):
-        note = f"lens '{prescription.name}': lens.glass_catalogues change nothing: no glass of the lens is theirs"
+        note = Note("not_used", setting="lens.glass_catalogues", reason=f"no glass of lens '{prescription.name}' is theirs")
         return replace(prescription, notes=(*prescription.notes, note))
     return prescription
 
@@ -470,7 +471,7 @@ def _read_toml(path: Path, options: PrescriptionOptions, own: Mapping[str, Glass
         wavelengths_nm=tuple(to_nm * value for value in file.wavelengths.values),
         primary_nm=to_nm * file.wavelengths.primary,
         object_distance_mm=file.object_distance_mm,
-        notes=tuple(f"lens '{one_line(path.stem)}': lens.{name} changes nothing in a .toml file" for name in unused),
+        notes=tuple(Note("not_used", setting=f"lens.{name}", reason="it is of lens files that are not TOML") for name in unused),
     )
     return _checked(prescription, f"'{path}'", place)
 
@@ -644,7 +645,7 @@ def _read_zmx(path: Path, options: PrescriptionOptions, own: Mapping[str, Glass]
     prescription = Prescription(
         one_line(path.stem), one_line(title, 200), f"file '{path.name}'", tuple(surfaces), stop, aperture, value, kind, largest,
         wavelengths, primary, object_distance, factors if used else (), () if used else factors, fixed,
-        tuple(f"lens '{one_line(path.stem)}': {note}" for note in notes),
+        tuple(Note("lens_as_read", lens=one_line(path.stem), words=note) for note in notes),
     )  # fmt: skip
     return _checked(prescription.scaled(scale), f"'{path}'", lambda index: blocks[index + 1].place(path))
 

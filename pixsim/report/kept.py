@@ -25,6 +25,7 @@ from pixsim.base.files import (
     write_made_from,
 )
 from pixsim.base.mapped import update_with_array
+from pixsim.base.notes import Note
 from pixsim.show.document import Document
 from pixsim.show.pages import Figures
 from pixsim.studies.result import StudyResult
@@ -52,14 +53,16 @@ def keep_or_write(command: str, made_from: str, folder: Path, write: Callable[[]
         return report
 
 
-def kept_run(folder: Path, made_from: str) -> tuple[Document, list[str]] | None:
+def kept_run(folder: Path, made_from: str) -> tuple[Document, list[Note]] | None:
     """Return the answer of a run whose files are kept, without its page, and its warnings; None if they are not kept."""
     if not are_kept(folder, "run", made_from):
         return None
     files_are_finished()
     said = said_with(folder)
     data = json.loads((folder / "score.json").read_bytes())
-    return Document("run", "kept", str(folder), data, terminal=tuple(said["lines"])), said["warned"]
+    return Document("run", "kept", str(folder), data, terminal=tuple(said["lines"])), [
+        Note.restored(**note) for note in said["warned"]
+    ]
 
 
 def digest_of_report(result: StudyResult, figures: Figures = "svg") -> str:

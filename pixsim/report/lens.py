@@ -14,7 +14,7 @@ from pixsim.base.digits import UNKNOWN, number
 from pixsim.base.errors import one_line
 from pixsim.base.tables import Column
 from pixsim.measure.lens import MTF_LINES, LensData, cross_section
-from pixsim.show.document import Answer, Document, DocumentTable, Listed, Note, Plot, Section, made_with
+from pixsim.show.document import Answer, Document, DocumentTable, Listed, Plot, Section, made_with
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, finish, new_figure, own_style
 from pixsim.show.pages import Plate, coarse_table, figure_files
 
@@ -313,7 +313,7 @@ def lens_document(data: LensData) -> Document:
         title=prescription.name,
         data=data.as_dict(),
         answers=(Answer(title_of(data), (prescription.title,), named=True),),
-        lead=map(Note, data.notes),
+        lead=data.notes,
         sections=(
             Section("drawing", "Layout", (drawing,)),
             Section("first-order", "First-order data", (first_order,), brief=True),

@@ -14,7 +14,7 @@ from pixsim.base.arrays import Array
 from pixsim.base.digits import rounded, span, with_error
 from pixsim.base.files import digest_of
 from pixsim.base.headline import NOT_CONVERGED
-from pixsim.base.notes import warn
+from pixsim.base.notes import Note, warn
 from pixsim.base.progress import Progress
 from pixsim.base.tables import plain
 from pixsim.base.toml import SETTINGS_FILE
@@ -42,7 +42,6 @@ from pixsim.show.document import (
     Link,
     Listed,
     Map,
-    Note,
     Pictures,
     Plot,
     Section,
@@ -65,7 +64,7 @@ from pixsim.studies.run import LitRun, RunResult, Threshold
 from pixsim.studies.sentences import FILLED, film_words, lens_words, thin_lens_words, unconverged, view_words
 from pixsim.studies.table import Store
 from pixsim.viewer.causes import SATURATED_SHOWN
-from pixsim.viewer.dark_clip import clip_words, clips_dark
+from pixsim.viewer.dark_clip import clip_note, clips_dark
 from pixsim.viewer.develop_options import developed_words
 from pixsim.viewer.display import white_light
 from pixsim.viewer.metric_registry import metrics_named
@@ -191,7 +190,7 @@ def run_document(result: RunResult, warned: Collection[str] = ()) -> Document:
     content = data(result)
     answer = run_answer(result)
     stated = {*unsure_words(result), *warned} if judged_by_delta_e(result) else {*warned}
-    lead = (*facts(result), *(Note(note) for note in content["notes"] if note not in stated))
+    lead = (*facts(result), *(note for note in notes(result) if note not in stated))
     numbers = pairs("statistics", {name: result.statistics[0][name] for name in shown_statistics(result)}, ".6g")
     return Document(
         command="run",
@@ -215,7 +214,8 @@ def run_page(result: RunResult, files: RunFiles = USUAL, progress: Progress | No
     """
     score, irradiance, frames = result.score, result.irradiance, result.prepared.frames
     if files.irradiance == "factors" and not irradiance.factors:
-        warn("the light has no factors (spectrum × picture): irradiance.exr holds its bands in full")
+        words = "the light has no factors (spectrum × picture): irradiance.exr holds its bands in full"
+        warn(Note("file_as_read", words=words))
 
     def write_light(folder: Path) -> None:
         if files.irradiance != "none":
@@ -300,7 +300,7 @@ def data(result: RunResult) -> dict[str, Any]:
         **({"motion": settings.motion.model_dump()} if settings.motion.is_on else {}),
         "display": settings.display.model_dump(),
         "seed": settings.seed,
-        "notes": notes(result),
+        "notes": [note.as_dict() for note in notes(result)],
         **more,
     }
 
@@ -319,19 +319,19 @@ def threshold_data(threshold: Threshold) -> dict[str, Any]:
 # --- notes ------------------------------------------------------------------------------------------------------------------------
 
 
-def notes(result: RunResult) -> list[str]:
+def notes(result: RunResult) -> list[Note]:
     """Return what a reader should know besides the score: its causes, warnings, a black level that clips dark noise."""
-    sized = [(cause.delta_e, str(cause)) for cause in result.causes]
+    sized = [(cause.delta_e, cause.note) for cause in result.causes]
     sized += [(result.dark["lightness"], note) for note in dark_notes(result)]
     of_score = [note for _, note in sorted(sized, key=lambda pair: -pair[0])]
-    return list(dict.fromkeys([*map(str, result.causes), *result.warned, *of_score]))
+    return list(dict.fromkeys([*(cause.note for cause in result.causes), *result.warned, *of_score]))
 
 
-def dark_notes(result: RunResult) -> list[str]:
+def dark_notes(result: RunResult) -> list[Note]:
     """Return a note on the clipping of dark pixels at 0 DN; none if it is not visible, or a correction removes its mean."""
     if result.settings.correction.removes_dark_level or not clips_dark(result.dark):
         return []
-    return [clip_words(result.dark, result.settings.pixel.model_dump())]
+    return [clip_note(result.dark, result.settings.pixel.model_dump())]
 
 
 def assumption(result: RunResult) -> str:

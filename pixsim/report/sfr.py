@@ -7,7 +7,7 @@ from typing import Any
 
 from pixsim.base.tables import Column, table_csv
 from pixsim.measure.sfr import COVERAGE, NYQUIST_CY_PER_PX, EdgeResponse
-from pixsim.show.document import Document, Note, Plot, Section, headline
+from pixsim.show.document import Document, Plot, Section, headline
 from pixsim.show.figures import COLOURS, new_figure
 from pixsim.show.pages import FIGURE_SUFFIXES, Drawing, figure
 from pixsim.show.presenter import Presenter
@@ -27,7 +27,7 @@ def sfr_document(edge: EdgeResponse) -> Document:
         data=data,
         terminal=(answer,),
         answers=(answer,),
-        lead=(Plot(lambda: sfr_plate(edge)), *map(Note, edge.notes)),
+        lead=(Plot(lambda: sfr_plate(edge)), *edge.notes),
         sections=(Section("edge", "The edge", (Plot(lambda: edge_plate(edge)),)),),
         figures=".",
     )

@@ -27,7 +27,6 @@ from pixsim.show.document import (
     Document,
     DocumentTable,
     Fact,
-    Note,
     Pictures,
     Plot,
     Section,
@@ -286,7 +285,7 @@ def document_of(
         title=result.study.title or result.study.name,
         data=data | ({"uncertainty": [each.as_dict() for each in result.uncertainty]} if result.uncertainty else {}),
         answers=answers[:ANSWERS_SHOWN],
-        lead=(*lead, *(Note(note) for note in result.notes if note not in known)),
+        lead=(*lead, *(note for note in result.notes if note not in known)),
         sections=[],
     )
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pixsim.base.arrays import MEASURED, PARTS, Array, spread_parts, strips
 from pixsim.base.digits import told_apart
 from pixsim.base.mapped import is_mapped, release, zeros
-from pixsim.base.notes import warn
+from pixsim.base.notes import Note, warn
 from pixsim.base.progress import Progress
 from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage
@@ -165,7 +165,7 @@ def render_until(
     if noise.delta_e is None:
         noise = replace(noise, delta_e=_halves_delta_e(job, halves, weight, delta_e_between))
     if ended != "target":
-        warn(_limit_words(ended, plan, noise, max_seconds))
+        warn(_limit_note(ended, plan, noise, max_seconds))
     _average(halves[0], halves[1], weight)
     halves.pop()
     rounded = {key: float(f"{value:.6g}") if isinstance(value, float) else value for key, value in asdict(noise).items()}
@@ -227,8 +227,8 @@ def _means(totals: Sequence[Array], weight: float) -> list[NDArray[np.float32]]:
     return means
 
 
-def _limit_words(ended: EndedBy, plan: Plan, noise: RenderNoise, max_seconds: float | None) -> str:
-    """Return why a render ended before its target, and how much noise it has.
+def _limit_note(ended: EndedBy, plan: Plan, noise: RenderNoise, max_seconds: float | None) -> Note:
+    """Return a note on why a render ended before its target, and how much noise it has.
 
     Without the seconds that have passed: the text belongs to the result, which a cached render reproduces.
     """
@@ -240,9 +240,10 @@ def _limit_words(ended: EndedBy, plan: Plan, noise: RenderNoise, max_seconds: fl
     }
     if noise.tolerance_delta_e is not None and noise.delta_e is not None:
         remains = "render noise makes up to {} ΔE, {} tolerated".format(*told_apart(noise.delta_e, noise.tolerance_delta_e))
-        return f"{causes[ended]}: {remains}. Raise --max-seconds or --tolerance-delta-e"
+        return Note("render_noise", cause=causes[ended], remains=remains, hint="Raise --max-seconds or --tolerance-delta-e")
     remains = "render noise is {} of the sensor noise, target {}".format(*told_apart(noise.fraction, noise.target))
-    return f"{causes[ended]}: {remains}. {more_samples(noise.fraction, noise.target) if ended == 'samples' else RAISE}"
+    hint = more_samples(noise.fraction, noise.target) if ended == "samples" else RAISE
+    return Note("render_noise", cause=causes[ended], remains=remains, hint=hint)
 
 
 SECONDS_OF_LIMIT = 30.0  # of `Plan.most_samples` on two cores

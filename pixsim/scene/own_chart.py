@@ -52,7 +52,8 @@ class OwnChart:
         status = self.path.stat() if self.path.exists() else None
         file, share = _texture(self, aspect, (status.st_mtime_ns, status.st_size) if status else (0, 0))
         if warn and share > 0:
-            notes.warn(f"the picture '{self.path.name}' keeps its aspect: {100 * share:.3g} % of the chart is a grey border")
+            words = f"the picture '{self.path.name}' keeps its aspect: {100 * share:.3g} % of the chart is a grey border"
+            notes.warn(notes.Note("file_as_read", words=words))
         return file
 
 
@@ -144,7 +145,7 @@ def _codes(path: Path) -> Array:
     except Exception as error:  # a decoder may raise anything for a damaged file
         raise invalid(f"chart picture '{path}'", reason(error), "a readable picture") from None
     for text in texts:
-        notes.warn(text)
+        notes.warn(notes.Note("file_as_read", words=text))
     return codes
 
 

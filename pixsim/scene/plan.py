@@ -14,6 +14,7 @@ from pixsim.base.arguments import Count, Positive, checks_arguments, checks_fiel
 from pixsim.base.arrays import Array
 from pixsim.base.caller import parameter, setting
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.notes import Note
 from pixsim.light.quantities import FilmSamples
 from pixsim.light.spectral import (
     HIGH_NM,
@@ -146,7 +147,7 @@ class Plan:
     full_spp: int
     chart: Chart | None = field(default=None, repr=False)
     tolerance_e: Positive = TOLERANCE_E
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Note, ...] = ()
     resolution: FilmSamples | None = None
     sampler: str = "multijitter"
     given_spp: bool = False
@@ -362,23 +363,25 @@ def make_render_plan(
     warnings = real_lens_warnings(whole, tiling, defocus, tolerance_e)
     if surfaces.short:
         ranges = ", ".join(surfaces.short)
-        warnings.append(f"reflectance tables cover only {ranges}, and Mitsuba takes 0 outside; extend them to 360-830 nm")
-    if note := shutter_note(sensor):
-        warnings.append(note)
+        words = f"reflectance tables cover only {ranges}, and Mitsuba takes 0 outside; extend them to 360-830 nm"
+        warnings.append(Note("scene", words=words))
+    if text := shutter_note(sensor):
+        warnings.append(Note("scene", words=text))
     if surfaces.ending:
-        warnings.append(f"outside {VISIBLE.words} these are what Mitsuba makes of them: {_named(surfaces.ending)}")
+        words = f"outside {VISIBLE.words} these are what Mitsuba makes of them: {_named(surfaces.ending)}"
+        warnings.append(Note("scene", words=words))
     if surfaces.mirrors:
         beyond = "Mitsuba takes 0 for the index of a metal beyond its tables, a perfect mirror where both end"
-        warnings.append(f"{beyond}; extend {_named(surfaces.mirrors)}")
+        warnings.append(Note("scene", words=f"{beyond}; extend {_named(surfaces.mirrors)}"))
     outside = outside_header(emitted, span)
-    warnings += warnings_of_skies(state, scene.choice.reading)
-    warnings += _light_that_ends(state, every_lamp, span, seeing)
+    scene_texts = [*warnings_of_skies(state, scene.choice.reading), *_light_that_ends(state, every_lamp, span, seeing)]
+    warnings += [Note("scene", words=text) for text in scene_texts]
     left_out = max((outside_share(outside, physics) for physics in seeing), default=0.0) if pixels else 0.0
     if left_out > SHOWN_SHARE:
-        warnings.append(f"{outside_words(left_out, span)}: {outside_hint()}")
+        warnings.append(Note("light_left_out", words=outside_words(left_out, span), hint=outside_hint()))
     if bound_e > tolerance_e:
         limits = f"bands reach their limit of {spectral_bands.NARROWEST_BAND_NM:g} nm or {spectral_bands.MAX_BANDS} bands"
-        warnings.append(f"the error of mean electrons is up to {bound_e:.1e}, above the tolerance {tolerance_e:g}: {limits}")
+        warnings.append(Note("electrons_error", error=bound_e, tolerance=tolerance_e, limits=limits))
     emitters = nodes_of(state, "Emitter")
     alone = len(emitters) == 1 and len(bodies) == 1 and emitters[0][1].plugin == "area" and bool(lamps)
     luminance, radiance = _white_of_chart(lamps[0], span) if alone else (None, None)

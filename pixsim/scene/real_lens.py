@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pixsim.base.notes import Note
 from pixsim.light.spectral import photons_per_joule
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import MIN_SPACING, TILES, Tiling, choose_tiling, dark_share, distortion_of, thin_lens_error
@@ -144,34 +145,32 @@ def _amount(found: Defocus) -> str:
     return f"{size} at {where}, with discs of {found.disc_um:.3g} µm"
 
 
-def real_lens_warnings(camera: Camera, tiling: Tiling | None, defocus: Sequence[Defocus], tolerance_e: float) -> list[str]:
+def real_lens_warnings(camera: Camera, tiling: Tiling | None, defocus: Sequence[Defocus], tolerance_e: float) -> list[Note]:
     """Return what a real lens does to the picture that the simulation cannot show rightly, or that a user may not expect."""
     if camera.lens is None:
         return []
     notes = []
     if dark := dark_share(camera):
-        notes.append(f"{dark:.1%} of the die lies beyond the image circle of '{camera.lens.file}', where no light arrives")
+        notes.append(Note("image_circle", share=dark, lens=camera.lens.file))
     wrong = [found for found in defocus if found.error > BLUR_TOLERANCES * tolerance_e]
     if wrong:
         right = [found for found in defocus if found not in wrong]
         largest = "; ".join(_amount(found) for found in wrong[:STATED])
-        notes.append(
-            "what is out of focus gets a thin lens's disc and the blur that the real lens has in focus, which is wrong by more "
-            f"than {BLUR_TOLERANCES * tolerance_e:.1%}: {largest}"
-            + (f"; it is right with discs up to {max(found.disc_um for found in right):.3g} µm" if right else "")
-        )
+        right_words = f"; it is right with discs up to {max(found.disc_um for found in right):.3g} µm" if right else ""
+        notes.append(Note("lens_defocus", limit=BLUR_TOLERANCES * tolerance_e, largest=largest, right=right_words))
     if tiling is not None and tiling.error > BLUR_TOLERANCES * tolerance_e:
         size = f"of up to {tiling.error:.1%} of" if tiling.error < 1 else "as large as"
         size += f" the picture's contrast, above {BLUR_TOLERANCES * tolerance_e:.1%}"
         if tiling.psf_um:
-            notes.append(
-                f"the blur of the real lens has an rms error {size}: its PSFs of {tiling.psf_um:.3g} µm lack up to "
-                f"{tiling.lacking:.1%} of the light, which makes {tiling.cut_error:.1%}; tiles reach their limit of {TILES[-1]} "
-                f"across the die or {MIN_SPACING} film cells each, or wavefronts are too steep for polynomials"
+            reason = (
+                f"its PSFs of {tiling.psf_um:.3g} µm lack up to {tiling.lacking:.1%} of the light, which makes "
+                f"{tiling.cut_error:.1%}; tiles reach their limit of {TILES[-1]} across the die or {MIN_SPACING} film cells each, "
+                "or wavefronts are too steep for polynomials"
             )
         else:
-            notes.append(
-                f"the film is too coarse for the blur of the real lens, which is left out: an rms error {size}; up to "
-                f"{tiling.lacking:.1%} of a point's light would leave its cell. Take a finer film"
+            reason = (
+                "the film is too coarse for it, and it is left out; "
+                f"up to {tiling.lacking:.1%} of a point's light would leave its cell. Take a finer film"
             )
+        notes.append(Note("lens_blur", size=size, reason=reason))
     return notes

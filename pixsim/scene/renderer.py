@@ -19,7 +19,7 @@ from pixsim.base.arrays import Array, strips
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import digest_of
 from pixsim.base.mapped import release, zeros
-from pixsim.base.notes import warn
+from pixsim.base.notes import Note, warn
 from pixsim.base.progress import Progress
 from pixsim.base.records import content_hash
 from pixsim.base.version import VERSION
@@ -261,7 +261,7 @@ class Renderer:
             raise error
         if self.begun or self.source.choice.asked:
             raise PixsimError(f"{error} To render without the graphics card: --variant {processors.variant}.") from None
-        warn(f"rendering with {processors.variant}, since the graphics card failed: {error}")
+        warn(Note("graphics_card", variant=processors.variant, error=error))
         self.source = replace(self.source, choice=processors)
         self.job = replace(self.job, variant=processors.variant)
         self.__dict__.pop("tracer", None)

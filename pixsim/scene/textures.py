@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pixsim.base.errors import invalid
 from pixsim.base.files import MAX_PICTURE, check_compression, judge_picture, opened
-from pixsim.base.notes import warn
+from pixsim.base.notes import Note, warn
 from pixsim.light.exr import judge_exr, read_channels
 
 EIGHT_BIT = (".png", ".jpg", ".jpeg", ".bmp", ".tga")
@@ -89,4 +89,4 @@ def check_share(highest: float, what: str, place: str) -> None:
         allowed = f"up to 1, a share of the light, and with a warning up to {MAX_SHARE:g}"
         raise invalid(what, f"{highest:g} in {place}", allowed, hint)
     if highest > 1:
-        warn(f"{what} is {highest:g} in {place}: a surface that sends back more light than it gets; 1 is all of it")
+        warn(Note("reflectance", what=what, highest=highest, place=place))

@@ -22,6 +22,7 @@ from numpy.polynomial.chebyshev import chebvander
 from pixsim.base.arguments import Count, checks_arguments
 from pixsim.base.arrays import Array, PositiveArray
 from pixsim.base.errors import invalid
+from pixsim.base.notes import Note
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_light import RINGS, SPOKES, CameraPupil, camera_pupil
 from pixsim.optics.pupil import disc_pupil, numerical_aperture
@@ -244,7 +245,7 @@ def _seen_nm(physics: PixelPhysics, wavelength_nm: Array) -> Array:
 
 
 @checks_arguments
-def stack_notes(physics: PixelPhysics, camera: Camera, wavelength_nm: PositiveArray) -> list[str]:
+def stack_notes(physics: PixelPhysics, camera: Camera, wavelength_nm: PositiveArray) -> list[Note]:
     """Return a note for each limit of the stack's model that the light of a camera exceeds (`pixsim.optics.stack.model_limits`).
 
     wavelength_nm : of the light, in any order; only those count to which the pixel responds
@@ -255,7 +256,7 @@ def stack_notes(physics: PixelPhysics, camera: Camera, wavelength_nm: PositiveAr
     towards_corner = np.linspace(0.0, 0.5, FINE + 1)  # a table's largest angle need not be in the corner
     pupil = camera_pupil(camera).at(x_um * towards_corner, y_um * towards_corner)
     limits = model_limits(physics.stack, pupil, _seen_nm(physics, wavelength_nm))
-    return [f"pixel.stack at {physics.pitch_um:g} µm: {text}" for text in limits]
+    return [Note("stack_model", pitch_um=physics.pitch_um, words=text) for text in limits]
 
 
 @lru_cache(maxsize=32)

@@ -9,6 +9,7 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
+from pixsim.base.notes import Note
 from pixsim.light.curves import EfficiencyCurve
 from pixsim.light.spectral import SpectralImage, photons_per_joule
 from pixsim.optics.camera import Camera
@@ -28,7 +29,7 @@ FLAT_CHANGE = 0.25  # of the electrons, by the curve of silicon in place of one 
 INFRARED_SHARE = 0.05  # of a channel's signal, of which a note tells
 
 
-def pixel_notes(physics: PixelPhysics, camera: Camera | None = None, irradiance: SpectralImage | None = None) -> list[str]:
+def pixel_notes(physics: PixelPhysics, camera: Camera | None = None, irradiance: SpectralImage | None = None) -> list[Note]:
     """Return notes on a pixel's numbers, which may be in another unit, and on what its model leaves out of its light.
 
     camera, irradiance : the light on the sensor and the camera in front of it; None: it is not known yet
@@ -40,57 +41,45 @@ def pixel_notes(physics: PixelPhysics, camera: Camera | None = None, irradiance:
     notes += stack_notes(physics, camera, irradiance.wavelength_nm)
     sensitivities = physics.pixel.colour.sensitivities if physics.pixel.colour else None
     if isinstance(sensitivities, str) and not has_common_scale(sensitivities):
-        notes.append(
-            f"pixel.colour.sensitivities: each channel of {sensitivities} was scaled to its own peak; their ratio is unknown, and "
-            "with it the noise before white balance. Balanced colours do not depend on it"
-        )
-    if note := focus_note(physics.read_pitch_um, camera, irradiance):
-        notes.append(note)
+        notes.append(Note("channel_scales", camera=sensitivities))
+    notes += focus_notes(physics.read_pitch_um, camera, irradiance)
     for name, curve in tables_of(physics).items():
         share = share_beyond(curve, irradiance, physics)
         if share > SHOWN_SHARE:
             end_nm, last = curve[-1]
-            notes.append(
-                f"{name} ends at {end_nm:g} nm with {last:g}, and is 0 beyond: if it stayed so, {share:.0%} of the electrons would "
-                f"come from there. Extend the table, or state a filter ({setting('pixel.infrared_cut_nm', end_nm)})"
-            )
+            filter_nm = setting("pixel.infrared_cut_nm", end_nm)
+            notes.append(Note("table_ends", name=name, end_nm=end_nm, last=last, share=share, setting=filter_nm))
     change = flat_efficiency_change(irradiance, physics)
     if abs(change) > FLAT_CHANGE:
         stated = setting("pixel.quantum_efficiency_nm", USUAL_NM)
-        notes.append(
-            f"pixel.quantum_efficiency = {physics.pixel.quantum_efficiency:g} holds at every wavelength; if it was measured at "
-            f"{USUAL_NM:g} nm, the absorption of silicon would make {abs(change):.0%} {'more' if change > 0 else 'fewer'} "
-            f"electrons of this light. State its wavelength ({stated}), or a table"
-        )
+        more = "more" if change > 0 else "fewer"
+        efficiency = physics.pixel.quantum_efficiency
+        values = {"efficiency": efficiency, "usual_nm": USUAL_NM, "change": abs(change), "more": more, "setting": stated}
+        notes.append(Note("flat_efficiency", **values))
     shares = infrared_shares(irradiance, physics)
     if max(shares.values(), default=0.0) > INFRARED_SHARE:
         channels = ", ".join(f"{share:.0%} of {letter}" for letter, share in shares.items())
-        notes.append(
-            f"infrared beyond {INFRARED_NM:g} nm is {channels}, which no eye sees: it is part of the colour error. "
-            f"A filter keeps it out ({setting('pixel.infrared_cut_nm', 650.0)})"
-        )
+        filter_nm = setting("pixel.infrared_cut_nm", 650.0)
+        notes.append(Note("infrared", limit_nm=INFRARED_NM, channels=channels, setting=filter_nm))
     return notes
 
 
-def focus_note(pitch_um: float, camera: Camera, irradiance: SpectralImage) -> str:
-    """Return what to say of a scene of which every visible point is a disc of more than `BLURRED_PIXELS`; empty for others."""
+def focus_notes(pitch_um: float, camera: Camera, irradiance: SpectralImage) -> list[Note]:
+    """Return a note on a scene of which every visible point is a disc of more than `BLURRED_PIXELS`; none on others."""
     depths = irradiance.header.get(DEPTHS)
     if not isinstance(depths, list) or len(depths) != 3 or not all(depth is None or isinstance(depth, float) for depth in depths):
-        return ""
+        return []
     nearest_m, sharpest_m, farthest_m = (math.inf if depth is None else depth for depth in depths)
     if not sharpest_m > 0:
-        return ""
+        return []
     disc_um = abs(signed_disc_um(camera, sharpest_m))
     if disc_um <= BLURRED_PIXELS * pitch_um:
-        return ""
+        return []
 
     nearest, farthest = (f"{depth_m:.4g} m" if math.isfinite(depth_m) else "infinity" for depth_m in (nearest_m, farthest_m))
     place = nearest if nearest == farthest else f"{nearest} to {farthest}"
-    return (
-        f"nothing in view is in focus: the camera focuses at {camera.object_distance_m:.4g} m, and the scene is at {place}, "
-        f"where points are discs of {disc_um:.3g} µm or more, {disc_um / pitch_um:.3g} pixels of {pitch_um:g} µm. The focus is "
-        f"{setting('camera.object_distance_m')} or, without it, the focus_distance of the scene, both in metres"
-    )
+    numbers = {"focus_m": camera.object_distance_m, "disc_um": disc_um, "disc_px": disc_um / pitch_um, "pitch_um": pitch_um}
+    return [Note("focus", place=place, setting=setting("camera.object_distance_m"), **numbers)]
 
 
 def tables_of(physics: PixelPhysics) -> dict[str, EfficiencyCurve]:

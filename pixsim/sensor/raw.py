@@ -39,7 +39,7 @@ from pixsim.base.arguments import NotNegative, Positive, checks_arguments, check
 from pixsim.base.arrays import Array, ArrayHeader, NotNegativeArray, first_where, read_array, read_arrays
 from pixsim.base.errors import PixsimError, invalid, names_in
 from pixsim.base.files import MAX_PICTURE, check_compression, judge_picture, opened, reason, size_of
-from pixsim.base.notes import warn
+from pixsim.base.notes import Note, warn
 from pixsim.light.exr import read_channels, shortest, write_channels, writing
 from pixsim.sensor.colour import ROW_MARK, Layout
 from pixsim.sensor.quantities import FrameBits, Pitch, SaturatedFraction
@@ -397,7 +397,7 @@ def _without_alpha(picture: NDArray[Any]) -> NDArray[Any]:
 def _read_image(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dict[str, Any]]:
     decoded = _decoded(path, name, expected)
     if decoded.pages > 1:
-        warn(pages_text(path, decoded.pages))
+        warn(Note("file_as_read", words=pages_text(path, decoded.pages)))
     samples, of_tags = _described(path, decoded.samples, decoded.tags)
     return samples, decoded.metadata | of_tags
 
@@ -521,14 +521,16 @@ def _described(path: Path, samples: NDArray[Any], tags: Mapping[int, Any]) -> tu
         if is_part and 0 <= top < bottom <= samples.shape[0] and 0 <= left < right <= samples.shape[1]:
             samples = samples[top:bottom, left:right]
             area = f"rows {top} to {bottom - 1} and columns {left} to {right - 1}"
-            warn(f"'{path}' has its active area in {area}: what is outside, which gets no light, is left out")
+            words = f"'{path}' has its active area in {area}: what is outside, which gets no light, is left out"
+            warn(Note("file_as_read", words=words))
     metadata = _metadata_of_tags(tags)
     if BLACK_LEVEL not in metadata and BLACK_LEVEL_TAG in tags:
         levels = _black_levels_of_tags(tags, samples.shape)
         if levels is None:
             values = np.atleast_1d(np.asarray(tags[BLACK_LEVEL_TAG], float))
             got = f"{values.size} black levels from {values.min():g} to {values.max():g}"
-            warn(f"'{path}' states {got}, which fit no cell (BlackLevelRepeatDim) of its pixels: they are not used")
+            words = f"'{path}' states {got}, which fit no cell (BlackLevelRepeatDim) of its pixels: they are not used"
+            warn(Note("file_as_read", words=words))
         else:
             metadata[BLACK_LEVEL] = levels if np.ptp(levels) else float(levels[0, 0])
     return samples, metadata

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
+from pixsim.base.notes import Note
+
 if TYPE_CHECKING:
     from pixsim.sensor.pixel_options import PixelOptions
 
@@ -71,16 +73,16 @@ def slip_hint(name: str, value: object) -> str:
     return _hint(name, number) if _is_slip(slip, number, number * slip.factor) else ""
 
 
-def unit_slips(pixel: PixelOptions) -> list[str]:
-    """Return a sentence for each number of a pixel that is unusual in its field's unit, and usual in the other one of `SLIPS`.
+def unit_slips(pixel: PixelOptions) -> list[Note]:
+    """Return a note for each number of a pixel that is unusual in its field's unit, and usual in the other one of `SLIPS`.
 
     A gain is judged by the range of the ADC over the full well, where both are stated.
 
     >>> from pixsim.sensor.pixel_options import Pixel
     >>> unit_slips(Pixel(technology="4t-bsi", pitch_um=1.4, prnu=0.2))
-    ['pixel: prnu = 0.2 is unusual. In per cent? Write prnu = 0.002.']
+    ['pixel: prnu = 0.2 is unusual. In per cent? Write prnu = 0.002']
     """
-    texts = []
+    notes = []
     for name, slip in SLIPS.items():
         number = getattr(pixel, name, None)
         if number is None:
@@ -92,8 +94,8 @@ def unit_slips(pixel: PixelOptions) -> list[str]:
             value = slip.value(pixel)
             converted = slip.value(pixel.model_copy(update={name: None, slip.meant: number * slip.factor}))
         if value is not None and converted is not None and _is_slip(slip, value, converted):
-            texts.append(f"pixel: {name} = {number:g} is unusual. {_hint(name, number)}")
-    return texts
+            notes.append(Note("unit_slip", name=name, number=number, hint=_hint(name, number)))
+    return notes
 
 
 def _is_slip(slip: UnitSlip, value: float, converted: float) -> bool:

@@ -13,6 +13,7 @@ from typing import Any, TypeAlias
 
 from pixsim.base.files import versions
 from pixsim.base.headline import MOST_WORDS, NOT_CONVERGED
+from pixsim.base.notes import Note
 from pixsim.show.figures import pdf_bytes
 from pixsim.show.pages import Drawn, Figures, Plate
 from pixsim.show.pictures import Picture
@@ -72,13 +73,6 @@ class Fact:
     """What is stated, of which a page makes a sentence: without a full stop, and small letters first."""
 
     text: Text
-
-
-@dataclass(frozen=True)
-class Note:
-    """A warning, without a full stop."""
-
-    text: str
 
 
 @dataclass(frozen=True)

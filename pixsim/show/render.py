@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from pixsim.base.files import output_folder, publishing, write_json
+from pixsim.base.notes import Note
 from pixsim.base.schema import json_text
 from pixsim.base.version import VERSION
 from pixsim.show.document import (
@@ -25,7 +26,6 @@ from pixsim.show.document import (
     Fact,
     Link,
     Listed,
-    Note,
     Plot,
     Section,
     Strong,
@@ -72,7 +72,7 @@ def lines(block: Block, width: int = WIDTH, before: str = BELOW) -> Iterator[str
         case Fact():
             yield plain_text(block.text)
         case Note():
-            yield f"note: {block.text}"
+            yield f"note: {block}"
         case Listed():
             yield from (BELOW + plain_text(item) for item in block.items)
         case DocumentTable():
@@ -146,7 +146,7 @@ def _environment() -> Environment:
         "sentence": _sentence,
         "answer": lambda caption: answer_and_rest(caption)[0].replace("`", ""),
         "captioned": _captioned,
-        "kind": lambda block: "Text" if isinstance(block, str | tuple) else type(block).__name__,
+        "kind": lambda block: "Text" if type(block) in (str, tuple) else type(block).__name__,
     }
     environment.filters |= filters
     environment.globals["pixsim_version"] = VERSION

@@ -26,7 +26,7 @@ from pixsim.base.digits import span, with_error
 from pixsim.base.errors import invalid
 from pixsim.base.files import output_folder, version_of_files
 from pixsim.base.layers import listed
-from pixsim.base.notes import collected_notes, warn, without_warnings
+from pixsim.base.notes import Note, collected_notes, warn, without_warnings
 from pixsim.base.progress import Progress, Stage, no_stage
 from pixsim.base.schema import check_not_newer
 from pixsim.base.tables import rows_csv
@@ -594,7 +594,7 @@ def differences_of_types(
         if sample_of(types.sample, first, other).inputs:
             uncertain[other] = result.groups_of_pair(other)
         else:
-            warn(f"{first} and {other}: no number of these two is unknown, so that nothing is drawn for them")
+            warn(Note("nothing_drawn", what=f"{first} and {other}", reason="no number of these two is unknown"))
     base = {
         (group.first.group, one.case.sensor): one
         for other, groups in uncertain.items()

@@ -14,6 +14,7 @@ from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.digits import with_error
 from pixsim.base.headline import NOT_CONVERGED
+from pixsim.base.notes import Note
 from pixsim.sensor.labels import label_of
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.sensor.stages import stage_words
@@ -30,7 +31,7 @@ from pixsim.studies.sensors import ComparisonJob, Match, SensorGroup, pixels_of
 from pixsim.studies.table import DOTS, Table
 from pixsim.studies.uncertainty import PairUncertainty
 from pixsim.viewer.causes import causes_of, lightness_range
-from pixsim.viewer.dark_clip import clip_words, clips_dark
+from pixsim.viewer.dark_clip import clip_note, clips_dark
 from pixsim.viewer.develop_options import developed_words
 from pixsim.viewer.display import white_light
 from pixsim.viewer.imaging import Imaging
@@ -95,12 +96,13 @@ class ComparedSensor:
         return math.nan if self.light.film is None else self.light.film.largest_delta_e
 
     @property
-    def notes(self) -> list[str]:
+    def notes(self) -> list[Note]:
         """Its causes, a black level that clips dark noise, and what was assumed."""
         pixel = self.case.settings.pixel
-        notes = [str(cause) for cause in self.causes]
-        notes += [clip_words(self.dark, pixel.model_dump())] if clips_dark(self.dark) else []
-        return [f"{self.name}: {note}" for note in (*notes, *filter(None, [pixel.assumption]))]
+        notes = [cause.note for cause in self.causes]
+        notes += [clip_note(self.dark, pixel.model_dump())] if clips_dark(self.dark) else []
+        notes += [Note("assumed", words=pixel.assumption)] if pixel.assumption else []
+        return [note.of([self.name]) for note in notes]
 
     def as_dict(self) -> dict[str, Any]:
         """Return the entry of compare.json; `statistics` are those of its first frame, as in score.json."""
@@ -186,7 +188,7 @@ class Comparison:
     job: ComparisonJob = field(repr=False)
     table: Table = field(repr=False)
     compared: tuple[ComparedSensor, ...] = field(repr=False)
-    notes: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
     uncertainty: tuple[PairUncertainty, ...] = field(default=(), repr=False)
     combination: int = 0
 
@@ -391,11 +393,11 @@ class Comparison:
         return {name: None if math.isnan(total) else total for name, total in totals.items()}
 
     @property
-    def sensor_notes(self) -> tuple[str, ...]:
+    def sensor_notes(self) -> tuple[Note, ...]:
         """The notes of all sensors; those that not all cases have name theirs."""
         parts = [(group, [note for sensor in self.of_group(group).values() for note in sensor.notes]) for group in self.all_groups]
         of_all = [note for note in parts[0][1] if all(note in notes for _, notes in parts)]
-        return *of_all, *(f"{group.words}: {note}" for group, notes in parts for note in notes if note not in of_all)
+        return *of_all, *(note.of([group.words]) for group, notes in parts for note in notes if note not in of_all)
 
     @property
     def all_groups(self) -> list[SensorGroup]:
@@ -566,7 +568,7 @@ class Comparison:
             "scored_dots": list(self.sensors[0].score.delta_e.shape),
             "display": shown.display.model_dump(),
             "seed": shown.first.settings.seed,
-            "notes": list(self.notes),
+            "notes": [note.as_dict() for note in self.notes],
             "sensors": {sensor.name: sensor.as_dict() | {"delta_e": self.delta_e[sensor.name].tolist()} for sensor in self.sensors},
         }
 

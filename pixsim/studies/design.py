@@ -21,7 +21,7 @@ from pixsim.base import cache
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array, PositiveArray
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
-from pixsim.base.notes import warn
+from pixsim.base.notes import Note, warn
 from pixsim.base.problems import explain
 from pixsim.base.records import content_hash
 from pixsim.light.quantities import MIN_FRACTION
@@ -464,7 +464,8 @@ def with_range_ends(study: Study) -> Study:
                 values.append((word, moved))
             values += [(f"{labels[name]} {value[number]:g}", {name: value}) for name, value in moved.items()]
         if not values:
-            warn(f"axis {axis.name}: no technology of the study has a range for {number}; it is left out")
+            reason = f"no technology of the study has a range for {number}"
+            warn(Note("not_used", setting=f"axis {axis.name}", reason=reason))
             continue
         points = [{"label": label, "set": {"process": moved}} for label, moved in values]
         axes.append(Axis.model_validate({"name": axis.name, "values": points, "alone": True}))

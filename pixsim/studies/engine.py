@@ -27,7 +27,7 @@ from pixsim.base.files import disk_faults_named
 from pixsim.base.lazy import import_less
 from pixsim.base.locks import temporary_folder
 from pixsim.base.machine import memory, processors
-from pixsim.base.notes import MachineWarning, warn
+from pixsim.base.notes import Note, note_of, warn
 from pixsim.base.shared_block import SharedBlock
 
 if TYPE_CHECKING:
@@ -39,7 +39,6 @@ Result = TypeVar("Result")
 Function = Callable[[Task, Shared], Result]
 Call = tuple[Task, Callable[[], Shared]]  # a task, and the function that makes its shared data
 Calls = dict[int, Call[Task, Shared]]  # by number
-Note = tuple[str, type[UserWarning]]  # the text of a warning, and whether it is a MachineWarning
 Reply = tuple[int, Result, list[Note]]  # a call's number, its result and its warnings
 NAMED_TASKS = 4  # named in an error message
 SUSPECTS = 2  # calls per job that are running or queued
@@ -171,7 +170,7 @@ def results_of(function: Function[Task, Shared, Result], calls: Sequence[Call[Ta
         if not left:
             break
         text = f"a worker process died; retrying the remaining {len(left)} of {len(calls)} tasks"
-        warn(text, MachineWarning)
+        warn(Note("machine", words=text))
         indices = list(left)
         if len(left) < before:  # the calls started first may be the cause: the others go before them
             half = len(indices) // 2
@@ -201,10 +200,8 @@ def processes_work() -> bool:
         if error.errno in (errno.EMFILE, errno.ENFILE):
             raise
         hint = "mount /dev/shm (docker run --shm-size 64m), or give --jobs 1"
-        warn(
-            f"no worker processes, since /dev/shm cannot be written ({error.strerror}): one process does all; {hint}",
-            MachineWarning,
-        )
+        words = f"no worker processes, since /dev/shm cannot be written ({error.strerror}): one process does all; {hint}"
+        warn(Note("machine", words=words))
         return False
     return True
 
@@ -238,10 +235,10 @@ def _once(function: Function[Task, Shared, Result], calls: Calls[Task, Shared], 
         results = _on_processes(function, calls, max(2, min(workers.jobs, len(calls))))
     shown: set[Note] = set()
     for index, result, notes in results:
-        for text, category in notes:
-            if (text, category) not in shown:
-                warn(text, category)
-                shown.add((text, category))
+        for note in notes:
+            if note not in shown:
+                warn(note)
+                shown.add(note)
         yield index, result
 
 
@@ -322,11 +319,10 @@ def _batch(function: Function[Task, Shared, Result], calls: list[tuple[int, Task
 
 def _numbered(function: Function[Task, Shared, Result], index: int, task: Task, shared: Shared) -> Reply[Result]:
     """Return a call's number, its result and its warnings, which the parent process shows once."""
-    with warnings.catch_warnings(record=True) as notes:
+    with warnings.catch_warnings(record=True) as recorded:
         warnings.simplefilter("always")
         result = function(task, shared)
-    kinds = ((str(note.message), note.category) for note in notes if issubclass(note.category, UserWarning))
-    return index, result, [(text, MachineWarning if issubclass(kind, MachineWarning) else UserWarning) for text, kind in kinds]
+    return index, result, [note_of(warning.message) for warning in recorded if issubclass(warning.category, UserWarning)]
 
 
 # loky replaces a worker whose memory grows by 300 MB, as the light behind a lens makes it, and warns of that. No result depends on

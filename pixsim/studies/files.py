@@ -10,7 +10,7 @@ from typing import Any
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.files import missing
 from pixsim.base.layers import Layer, listed, nested, plain_tables
-from pixsim.base.notes import warn
+from pixsim.base.notes import Note, warn
 from pixsim.base.records import Record, checked
 from pixsim.base.toml import packaged, read_toml, resolve_file, settings_table_text, whole_path
 from pixsim.light.curves import AS_CURVES, as_quantum_efficiency, as_share
@@ -331,7 +331,7 @@ def checked_study(layers: Sequence[Layer], options: Mapping[str, Any] | None = N
     given = {name: value for name, value in (options or {}).items() if name not in ("axis", "condition")}
     for path in paths_of(given):
         if owner := owner_of(study, path):
-            warn(f"{'.'.join(path)} is not used: {owner} sets it")
+            warn(Note("not_used", setting=".".join(path), reason=f"{owner} sets it"))
     return study
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from pixsim.base.caller import setting
 from pixsim.base.errors import invalid
-from pixsim.base.notes import warn, without_warnings
+from pixsim.base.notes import Note, warn, without_warnings
 from pixsim.base.progress import Progress, Stage, share_of
 from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage
@@ -227,7 +227,7 @@ def without_target(request: LightRequest, across: int) -> SpectralImage:
     scene = scene.with_resolution(across)
     image, noise = request.render(scene, request.plan_of(scene))
     if noise.relative > 0:
-        warn(f"the light has render noise of {100 * noise.relative:.2g} %: what of it differs without the target counts as signal")
+        warn(Note("target_noise", noise=100 * noise.relative))
     return image
 
 

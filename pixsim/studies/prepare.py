@@ -20,7 +20,7 @@ from typing import Any, Generic, TypeVar
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.notes import warn
+from pixsim.base.notes import Note, warn
 from pixsim.base.records import Record, content_hash
 from pixsim.base.schema import KEY
 from pixsim.base.toml import whole_path
@@ -415,14 +415,14 @@ def fitted_range(study: Study, camera: Camera) -> Study:
     if own_um is not None and "max_um" not in pitch.model_fields_set:
         wished, high = high, min(high, max(min(height_um, width_um) / MIN_ACROSS, own_um))
         if high < wished:
-            ends = f"{high:.4g} µm in place of {wished:.4g} µm"
-            warn(f"the largest pixel size is {ends}: a larger one leaves fewer than {MIN_ACROSS} on the die")
+            reason = f"a larger one leaves fewer than {MIN_ACROSS} on the die"
+            warn(Note("smaller_range", end="largest", whose="", pitch_um=high, wished_um=wished, reason=reason))
     for name in study.technologies:
         if (lens_um := largest_lens_um(study, name)) < high:
-            warn(
-                f"the largest pixel size of {label_of(name)} is {lens_um:g} µm in place of {high:.4g} µm: its stack is too low for "
-                "a wider ideal microlens (h < p/√π); larger ones: pixel.stack.height_um, or pixel.stack.microlens = 'none'"
-            )
+            reason = "its stack is too low for a wider ideal microlens (h < p/√π); larger ones: pixel.stack.height_um, or "
+            reason += "pixel.stack.microlens = 'none'"
+            whose = f" of {label_of(name)}"
+            warn(Note("smaller_range", end="largest", whose=whose, pitch_um=lens_um, wished_um=high, reason=reason))
     if pitch.min_um is not None:
         check_smallest(pitch.min_um, camera, "pitch.min_um")
     else:
@@ -443,10 +443,11 @@ def fitted_range(study: Study, camera: Camera) -> Study:
                 limit = "as many as pixsim simulates"
             elif most > MAX_FRAME_BYTES / BYTES_PER_PIXEL:
                 limit = "as many as the data sheet's sensor has"
-            warn(
-                f"the smallest pixel size is {low:.4g} µm in place of {min(lows):.4g} µm, with {most / 1e6:.3g} million pixels on "
-                f"the die, {limit}; smaller ones: --pitch.min-um, or a part of the die by --window"
+            reason = (
+                f"it has {most / 1e6:.3g} million pixels on the die, {limit}; smaller ones: --pitch.min-um, or a part of the die "
             )
+            reason += "by --window"
+            warn(Note("smaller_range", end="smallest", whose="", pitch_um=low, wished_um=min(lows), reason=reason))
     if own_um is None and low == pitch.min_um:
         return study
     chosen = {name: value for name, value in (("min_um", low), ("max_um", high)) if value is not None}
@@ -734,8 +735,7 @@ def _warn_of_other_parts(cases: Sequence[Case[Study]]) -> None:
     """Warn if what moves leaves other parts of the frame to score in one case than in another."""
     rooms_um = {border_on_um(each.settings, each.camera) - each.settings.border_um for each in cases}
     if len(rooms_um) > 1:
-        margin = f"motion.margin_um = {math.ceil(max(rooms_um)):g}"
-        warn(f"what moves leaves other parts of the frame to score in other cases; {margin} lets all score the same")
+        warn(Note("unequal_margins", margin_um=math.ceil(max(rooms_um))))
 
 
 def _warn_of_settings_without_effect(given: Sequence[Case[Study]], complete: Sequence[Case[Study]]) -> None:
@@ -795,7 +795,7 @@ def check_metrics(
             with named(name):
                 without, _ = read_with_camera(stated, settings.camera, units, settings.lens)
         elif without is not None and "without" in settings.metric.detectability.model_fields_set:
-            warn(f"{name} is not used: the light without the target is given beside the light")
+            warn(Note("not_used", setting=name, reason="the light without the target is given beside the light"))
         if without is not None:
             check_background(without, source)
         has_without = without is not None

@@ -16,7 +16,7 @@ from pixsim.base.arguments import Count, checks_arguments, checks_fields
 from pixsim.base.arrays import Array
 from pixsim.base.digits import span, told_apart
 from pixsim.base.errors import invalid
-from pixsim.base.notes import few
+from pixsim.base.notes import Note, few
 from pixsim.base.tables import Column
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
@@ -42,7 +42,7 @@ from pixsim.studies.sentences import interval_words, optima_table, optimum_words
 from pixsim.studies.settings import Study
 from pixsim.studies.table import Table
 from pixsim.viewer.causes import causes_of
-from pixsim.viewer.dark_clip import clip_words, clips_dark, dark_clip
+from pixsim.viewer.dark_clip import clip_note, clips_dark, dark_clip
 from pixsim.viewer.display import white_light, white_rate
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.metrics import DELTA_E
@@ -85,7 +85,7 @@ class StudyResult:
     film: FilmError | None = None
     view: dict[str, Any] = field(default_factory=dict)
     settings_toml: str = field(default="", repr=False)
-    warned: tuple[str, ...] = ()
+    warned: tuple[Note, ...] = ()
     uncertainty: tuple[Any, ...] = ()
     table: Table | None = field(default=None, repr=False, compare=False)
     lit: tuple[LitCase, ...] = field(default=(), repr=False, compare=False)
@@ -155,12 +155,12 @@ class StudyResult:
         return next(iter(self.sensors.values())).scenes
 
     @property
-    def cause_notes(self) -> list[str]:
+    def cause_notes(self) -> list[Note]:
         """The causes of the mean ΔE of each curve's best size, with what removes them."""
-        return few([[f"{curve.label}: {cause}" for curve in self.curves for cause in curve.causes]])
+        return few([[cause.note.of([curve.label]) for curve in self.curves for cause in curve.causes]])
 
     @cached_property
-    def notes(self) -> list[str]:
+    def notes(self) -> list[Note]:
         """What a reader should know besides the optima: warnings, missed targets, a black level that clips dark noise."""
         kinds = target_notes, open_notes, silent_notes, study_dark_notes
         return [*self.cause_notes, *sorted(self.warned), *(note for notes in kinds for note in few([*map(notes, self.cases)]))]
@@ -173,7 +173,7 @@ class StudyResult:
             "study": self.study.model_dump(mode="json"),
             "white_spectrum": white_light(self.irradiance)[1],
             "irradiance": self.irradiance.header,
-            "notes": self.notes,
+            "notes": [note.as_dict() for note in self.notes],
             "curves": [curve.as_dict() | {"dark": self.dark(curve)} for curve in self.curves],
         }
 
@@ -344,7 +344,7 @@ class CasesResult(StudyResult):
         return {
             "study": self.study.model_dump(mode="json"),
             "chosen": self.view,
-            "notes": self.notes,
+            "notes": [note.as_dict() for note in self.notes],
             **({"left_out": list(self.left_out)} if self.left_out else {}),
             "cases": cases,
             "curves": [curve.as_dict() | {"dark": self.part_of(curve).dark(curve)} for curve in self.curves],
@@ -515,7 +515,7 @@ def range_columns(name: str, curves: Sequence[Curve]) -> dict[str, Column]:
     return {f"{name}_low_um": low, f"{name}_high_um": high}
 
 
-def target_notes(result: StudyResult) -> list[str]:
+def target_notes(result: StudyResult) -> list[Note]:
     """Return a note for each optimum that misses the target interval, with the limit that ended the search."""
     study, notes = result.study, []
     evaluations = sum(int(curve.sensors.sum()) for curve in result.curves)
@@ -530,12 +530,11 @@ def target_notes(result: StudyResult) -> list[str]:
             limit = f"{evaluations} of at most {study.max_evaluations} evaluations (max_evaluations)"
         shown_um, target_um = told_apart(half_um, study.target_ci_um)
         width = f"± {shown_um} µm" if math.isfinite(half_um) else "open at an end"
-        target = f"the target is ± {target_um} µm (target_ci_um)"
-        notes.append(f"{curve.label}: the interval is {width} after {limit}; {target}")
+        notes.append(Note("interval_wide", case=curve.label, width=width, limit=limit, target_um=target_um))
     return notes
 
 
-def silent_notes(result: StudyResult) -> list[str]:
+def silent_notes(result: StudyResult) -> list[Note]:
     """Return a note for each metric that tells a best size, with the pitches that its fitted curve does not take, and why."""
     notes = []
     for curve in result.curves:
@@ -545,18 +544,20 @@ def silent_notes(result: StudyResult) -> list[str]:
             reasons = {pitch_um: reason for name, pitch_um, reason in curve.lacking if name == metric.name}
             for why, which in (("has no number", reasons.keys()), ("is 0 or below, or beyond such sizes,", known - reasons.keys())):
                 if sizes := sorted(silent & which):
-                    words = f"{metric.words} {why} at {', '.join(f'{um:g}' for um in sizes)} µm, and its fitted curve does without"
-                    notes.append(": ".join(filter(None, (curve.label, words, reasons.get(sizes[0], "")))))
+                    listed = ", ".join(f"{pitch_um:g}" for pitch_um in sizes)
+                    reason = f": {reasons[sizes[0]]}" if reasons.get(sizes[0]) else ""
+                    note = Note("sizes_without_number", metric=metric.words, why=why, sizes=listed, reason=reason)
+                    notes.append(note.of([curve.label]) if curve.label else note)
     return notes
 
 
 LARGER = 1.25  # ratio of a size that is proposed beyond the range
 
 
-def open_notes(result: StudyResult) -> list[str]:
+def open_notes(result: StudyResult) -> list[Note]:
     """Return a note for each open end of an optimum's interval: which size would close it, or why none can."""
     study = result.study
-    notes: list[str] = []
+    notes: list[Note] = []
     if study.target_ci_um is not None:  # said by `target_notes`
         return notes
     for curve in result.curves:
@@ -565,10 +566,10 @@ def open_notes(result: StudyResult) -> list[str]:
             continue
         smallest, end = low is None, 0 if low is None else -1
         tried_um, word = curve.fitted_range_um[end], "smallest" if smallest else "largest"
-        start = f"{curve.label}: the interval is open, since the {word} size tried, {tried_um:.4g} µm, may be the best"
         if tried_um != curve.pitch_um[end]:  # said by `silent_notes`
             continue
-        notes.append(f"{start}; {_closing_size(study, curve, tried_um, smallest)}")
+        hint = _closing_size(study, curve, tried_um, smallest)
+        notes.append(Note("interval_open", case=curve.label, end=word, pitch_um=tried_um, hint=hint))
     return notes
 
 
@@ -586,9 +587,9 @@ def _closing_size(study: Study, curve: Curve, tried_um: float, smallest: bool) -
     return f"a size of {size_um:g} µm ({how}) would tell"
 
 
-def study_dark_notes(result: StudyResult) -> list[str]:
+def study_dark_notes(result: StudyResult) -> list[Note]:
     """Return a note for each curve whose black level clips dark noise, with the number of pixel sizes and the worst of them."""
-    notes: list[str] = []
+    notes: list[Note] = []
     if result.study.correction.removes_dark_level:
         return notes
     for curve in result.curves:
@@ -600,5 +601,5 @@ def study_dark_notes(result: StudyResult) -> list[str]:
             worst = max(clipped, key=lambda place: clips[place]["of_display_white"])
             most = max(clips[place]["least_black_level_dn"] for place in clipped)
             where = f" at {len(clipped)} of {len(clips)} pixel sizes, most at {curve.pitch_um[worst]:.2f} µm"
-            notes.append(f"{curve.label}: {clip_words(clips[worst] | {'least_black_level_dn': most}, pixel, where)}")
+            notes.append(clip_note(clips[worst] | {"least_black_level_dn": most}, pixel, where).of([curve.label]))
     return notes

@@ -20,7 +20,7 @@ from pixsim.base.arguments import Count, checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.caller import parameter, setting
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.notes import collected_notes, warn, without_warnings
+from pixsim.base.notes import Note, collected_notes, warn, without_warnings
 from pixsim.base.progress import Progress, Stage, no_stage, share_of, watched
 from pixsim.base.result import Result
 from pixsim.light.spectral import SpectralImage
@@ -347,7 +347,7 @@ class LitRun:
     irradiance: SpectralImage = field(repr=False)
     rendered: Light | None = field(default=None, repr=False)
     plan: Plan | None = field(default=None, repr=False)
-    warned: tuple[str, ...] = ()
+    warned: tuple[Note, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -492,10 +492,9 @@ class RunResult(LitRun, Result):
         return None if self.chain.rendition is None else self.chain.development.colour_facts(self.score.frame.integration_s)
 
     @property
-    def notes(self) -> list[str]:
+    def notes(self) -> list[Note]:
         """What a reader should know besides the score: its causes, warnings, a black level that clips dark noise."""
-        notes: list[str] = self.as_dict()["notes"]
-        return notes
+        return [Note.restored(**note) for note in self.as_dict()["notes"]]
 
     def further_frames(self) -> Iterator[Frame]:
         """Yield the frames of the first sensor after its first one, which is scored."""
@@ -603,7 +602,7 @@ def score_run(
         chain_of_first, judged = first[0]
         score = with_metrics(judged.score, settings.metrics, table)
         for reason in dict.fromkeys(table.reasons.values()):
-            warn(reason)
+            warn(Note("undefined_metric", words=reason))
 
         at_first = None
         if job.repeats > 1 and registered_in(lit.imaging, lit.light(), 1) != lit.imaging:

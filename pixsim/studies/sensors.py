@@ -14,7 +14,7 @@ from pixsim.base.caller import setting
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.files import missing
 from pixsim.base.layers import Layer
-from pixsim.base.notes import warn, without_warnings
+from pixsim.base.notes import Note, warn, without_warnings
 from pixsim.base.records import checked
 from pixsim.base.toml import packaged
 from pixsim.optics.camera import OF_DIE, Camera, CameraOptions
@@ -191,9 +191,9 @@ def read_sensors(
         run: Run = checked(Run, [lens, own, *config, Layer(options), *([overrides] if overrides else [])])
         first = sensors[0].settings if sensors else run
         if unused := [n for n in own.table if n not in OF_A_SENSOR and getattr(run, n, None) != getattr(first, n, None)]:
-            warn(
-                f"{file}: only {', '.join(f'[{name}]' for name in OF_A_SENSOR)} are used, not {', '.join(unused)}: the first file's"
-            )
+            tables = ", ".join(f"[{name}]" for name in OF_A_SENSOR)
+            reason = f"only {tables} are used of it, and else the first file"
+            warn(Note("not_used", setting=f"{file}: {', '.join(unused)}", reason=reason))
         sensors.append(Case(run, sensor=label, file=file))
     return sensors
 
@@ -234,7 +234,7 @@ def warn_of_overridden(study: Study, options: Mapping[str, Any]) -> None:
     for path in paths_of(options):
         in_study = ("scene", "parameters", *path[1:]) if path[0] == "scene" else path
         if owner := owner_of(study, in_study):
-            warn(f"{'.'.join(path)} is not used: {owner} sets it")
+            warn(Note("not_used", setting=".".join(path), reason=f"{owner} sets it"))
 
 
 def overrides_layer(table: Mapping[str, Any], where: str) -> Layer:
@@ -363,7 +363,8 @@ def warn_of_uncertainty(sources: Sequence[str]) -> None:
     """Warn of the [pixel.uncertainty] of sensor files, where no sensor types are drawn."""
     for path in map(Path, sources):
         if path.is_file() and (unsure := sheet_uncertainty(path)):
-            warn(f"{path.name}: [pixel.uncertainty] of {', '.join(unsure)} is not used without {setting('uncertainty')}")
+            reason = f"it is used with {setting('uncertainty')} only"
+            warn(Note("not_used", setting=f"{path.name}: [pixel.uncertainty] of {', '.join(unsure)}", reason=reason))
 
 
 def _warn_of_settings_without_effect(

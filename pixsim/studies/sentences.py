@@ -16,7 +16,7 @@ import numpy as np
 from pixsim.base.caller import setting
 from pixsim.base.digits import interval, rounded, told_apart, with_ends, with_error
 from pixsim.base.headline import NOT_CONVERGED
-from pixsim.base.notes import few
+from pixsim.base.notes import Note, few
 from pixsim.optics.camera import Camera
 from pixsim.scene.convergence import RENDER_NOISE, what_reaches
 from pixsim.sensor.stages import stage_words
@@ -246,15 +246,15 @@ def unconverged(header: Mapping[str, Any], film: FilmError | None) -> list[str]:
     return [f"{first}. To be surer: {', or '.join([*surer, window])}"]
 
 
-def study_unconverged(result: StudyResult) -> list[str]:
+def study_unconverged(result: StudyResult) -> list[Note]:
     """Return the lines of `unconverged` of a study, each once, for the films at the best pixel sizes."""
-    lines = []
+    notes = []
     for curve in result.curves:
         part = result.part_of(curve)
-        if not curve.has_delta_e:
-            continue
-        lines.append(unconverged(part.irradiance.header, part.film_at_best(curve)))
-    return few(lines)
+        if curve.has_delta_e:
+            lines = unconverged(part.irradiance.header, part.film_at_best(curve))
+            notes.append([Note("not_converged", words=line) for line in lines])
+    return few(notes)
 
 
 # --- what it belongs to ----------------------------------------------------------------------------------------------------------
@@ -365,7 +365,7 @@ def study_facts(result: StudyResult) -> list[Block]:
     ]
     contrasts = [words for curve in result.curves for words in contrast_words(result, curve)]
     light, view = study_light_words(result), study_view_words(result)
-    words = [pairs, without, contrasts, result.cause_notes, study_unconverged(result), light, view]
+    words: list[Sequence[str]] = [pairs, without, contrasts, result.cause_notes, study_unconverged(result), light, view]
     tables = [table for metrics_regrets in regrets if metrics_regrets for table in regrets_tables(metrics_regrets)]
     return [*tables, *(Fact(text) for texts in words for text in texts)]
 

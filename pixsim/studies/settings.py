@@ -27,7 +27,7 @@ from pixsim.base.arguments import brief, checks_arguments
 from pixsim.base.caller import setting
 from pixsim.base.errors import invalid, name_fault
 from pixsim.base.layers import Layer, nested
-from pixsim.base.notes import warn
+from pixsim.base.notes import Note, warn
 from pixsim.base.problems import BRANCHES
 from pixsim.base.records import AnyNumber, NumberOrText, Record, UnitInterval, as_list, checked
 from pixsim.light.curves import RESPONSES
@@ -677,7 +677,8 @@ def study_layers(studies: Sequence[Layer], files: Sequence[Layer], options: dict
     elif "pitch_um" in given and given & {*DATA_SHEET, *STANDS_FOR}:
         names = ", ".join(map(str, merged(studies).get("technologies", Study.model_fields["technologies"].default)))
         missing = ", ".join(missing_of_data_sheet(given))
-        warn(f"[pixel] gives no technology and not {missing}, which come from the study's technology {names}")
+        words = f"[pixel] gives no technology and not {missing}, which come from the study's technology {names}"
+        warn(Note("assumed", words=words))
     scaled = bool(given & set(SCALED_WITH_AREA)) and "data_sheet_pitch_um" not in given
     if "pitch_um" in given and scaled:
         derived["pixel"] = {"data_sheet_pitch_um": settings.pixel.pitch_um}
@@ -771,13 +772,14 @@ def with_data_sheets(layers: list[Layer], pixel_options: dict[str, Any]) -> list
             sheet = [Layer({"pixel": known[name]}, f"sensors.{name}")]
         elif _is_settings(name) and "pixel" in (layer := settings_layer(name)).table:
             if others := [f"[{table}]" for table in layer.table if table != "pixel"]:
-                warn(f"{name}: only [pixel] is used of a sensor among technologies, not {', '.join(others)}")
+                reason = "of a sensor among technologies, only [pixel] is used"
+                warn(Note("not_used", setting=f"{name}: {', '.join(others)}", reason=reason))
             sheet = [Layer({"pixel": study.get("pixel", {})}), Layer({"pixel": layer.table["pixel"]}, layer.source)]
         else:
             continue
         settings: Run = checked(Run, [*sheet, Layer({"pixel": pixel_options})])
         if settings.pixel.assumption:
-            warn(f"{name}: {settings.pixel.assumption}")
+            warn(Note("assumed", words=f"{name}: {settings.pixel.assumption}"))
         sensors[name] = settings.pixel.model_dump()
     return [*layers, Layer({"sensors": sensors})] if sensors else layers
 

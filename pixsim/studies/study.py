@@ -19,7 +19,7 @@ from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import output_folder
 from pixsim.base.layers import listed
-from pixsim.base.notes import collected_notes, few, warn
+from pixsim.base.notes import Note, collected_notes, few, warn
 from pixsim.base.progress import Progress, Stage, no_stage
 from pixsim.base.records import content_hash
 from pixsim.base.toml import SETTINGS_FILE
@@ -204,7 +204,7 @@ def warn_of_left_out(cases: Sequence[LitCase], curves: Sequence[Curve | str]) ->
         if isinstance(curve, Curve) and curve.left_out:
             sizes = dict(curve.left_out)
             listed = ", ".join(f"{pitch_um:g}" for pitch_um in sorted(sizes))
-            notes.append(f"{lit.label}: {listed} µm left out: {sizes[max(sizes)]}")
+            notes.append(Note("sizes_left_out", case=lit.label, sizes=listed, reason=sizes[max(sizes)]))
     for note in few([notes]):
         warn(note)
 
@@ -227,7 +227,7 @@ def warn_of_idle_axes(study: Study, found: Sequence[StudyResult]) -> None:
         if any(len(group) > 1 for group in groups.values()) and all(len(set(group)) == 1 for group in groups.values()):
             settings = ", ".join(dict.fromkeys(".".join(path) for path in axis.paths))
             why = f"its values are the study's own, or other settings or a data sheet decide in place of {settings}"
-            warn(f"the axis {axis.name} changes nothing: {why}")
+            warn(Note("idle_axis", axis=axis.name, reason=why))
 
 
 def findings_of_cases(parts: Sequence[StudyResult], workers: Workers, progress: Progress) -> tuple[tuple[Finding, ...], ...]:
@@ -274,7 +274,8 @@ def draw_types(
             bases = [replace(base, curves=tuple(curve.judged_by(metric.name) for curve in base.curves)) for base in result.cases]
             results += _types_by_metric(bases, asked, folder / types_file(metric), workers, progress)
         else:
-            warn(f"sensor types: none are drawn for {metric.words}, which tells no best size of some of the study's own sensors")
+            reason = "it tells no best size of some of the study's own sensors"
+            warn(Note("nothing_drawn", what=f"sensor types for {metric.words}", reason=reason))
     return results
 
 
@@ -491,7 +492,7 @@ def run_prepared(
             found = [part for part in made if isinstance(part, StudyResult)]
         if not found:
             raise PixsimError(reasons[0])
-        for note in few([[f"a case is left out: {reason}" for reason in reasons]]):
+        for note in few([[Note("case_left_out", reason=reason) for reason in reasons]]):
             warn(note)
         warn_of_idle_axes(chosen, found)
         curves = found[0].curves

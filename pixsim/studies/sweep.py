@@ -12,7 +12,7 @@ from pixsim.base.arguments import Count, Jobs, Whole, checks_arguments
 from pixsim.base.errors import invalid, name_fault
 from pixsim.base.files import output_folder
 from pixsim.base.layers import Layer
-from pixsim.base.notes import collected_notes, warn
+from pixsim.base.notes import Note, collected_notes, warn
 from pixsim.base.progress import Stage, no_stage
 from pixsim.base.records import checked
 from pixsim.light.spectral import SpectralImage
@@ -288,13 +288,13 @@ def warn_of_frames(cases: Sequence[LitCase], table: Table, light: SpectralImage)
     for lit, rows in zip(cases, table.by_case(), strict=True):
         where = ", ".join(filter(None, (f"pixel {lit.case.labels[PIXEL]}", lit.case.words)))
         for reason in dict.fromkeys(rows.reasons.values()):
-            warn(f"{where}: {reason}")
+            warn(Note("undefined_metric", words=reason).of([where]))
         if not len(rows.possible):
             continue
         if lit.light_id not in of_light:
             of_light[lit.light_id] = lit.scenes.ideal_facts(lit.light_key, lit.imaging)
         for cause in causes_of_frames(light, lit.imaging, of_light[lit.light_id].lightness, rows.possible):
             if cause.leaves_nothing:
-                warn(f"{where}: {cause}")
+                warn(cause.note.of([where]))
     brightest = max((facts.beyond_white for facts in of_light.values()), default=0.0)
     warn_of_clipping(brightest, light.header, cases[0].imaging.display)

@@ -26,7 +26,7 @@ from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import digest_of, kind_of, opened, replacing, version_of_files
-from pixsim.base.notes import warn
+from pixsim.base.notes import Note, warn
 from pixsim.base.result import Result
 from pixsim.base.schema import KEY, SCHEMA, of_another
 from pixsim.base.tables import csv_text, dataframe_of
@@ -253,15 +253,15 @@ class Store:
         """Copy the file, and warn of its rows that do not continue."""
         backup = self._back_up(path)
         if self.another_schema is not None:
-            kept = f"They are kept in '{backup}', and computed again."
-            warn(f"results: rows of '{path}' state {of_another(self.another_schema)}. {kept}")
+            rows = f"rows of '{path}' state {of_another(self.another_schema)}"
+            warn(Note("rows_not_continued", rows=rows, backup=backup, then=", and they are computed again"))
         elif not self._places and (version := version_of_files(path.parent)) != VERSION:
             which = f"of pixsim {version}" if version else "of other settings, or of another version of pixsim"
-            kept = f"They are kept in '{backup}', and computed again; only the settings and the version that wrote them"
-            warn(f"results: the rows of '{path}' are {which}. {kept} continue them.")
+            then = ", and they are computed again; only the settings and the version that wrote them continue them"
+            warn(Note("rows_not_continued", rows=f"the rows of '{path}' are {which}", backup=backup, then=then))
         if impossible:
             which = f"{impossible} row{'s' * (impossible > 1)} of '{path}' cannot be, by ΔE, size or another number"
-            warn(f"results: {which}. The file is kept as '{backup}', and they are computed again.")
+            warn(Note("rows_not_continued", rows=which, backup=backup, then=", and they are computed again"))
 
     def finish(self, keys: Collection[str], rows: Iterable[Sequence[Any]]) -> None:
         """Leave only these rows in the file, copied first if it holds others.

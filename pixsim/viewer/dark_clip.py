@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import gammaincinv, gammaln, ndtr, ndtri
 
 from pixsim.base.digits import rounded
+from pixsim.base.notes import Note
 from pixsim.sensor.code_moments import moments_of_codes
 from pixsim.sensor.noise import variance_e2
 from pixsim.sensor.reading import Readout
@@ -99,8 +100,8 @@ def clips_dark(dark: dict[str, float]) -> bool:
     return clipped_e * dark["spread_dn"] > HIDDEN_DN * spread_e and clipped_e > TAIL_SIGMAS * spread_e
 
 
-def clip_words(dark: dict[str, float], pixel: dict[str, Any], where: str = "") -> str:
-    """Return a `dark_clip` in words, with the black level that avoids it.
+def clip_note(dark: dict[str, float], pixel: dict[str, Any], where: str = "") -> Note:
+    """Return a note on a `dark_clip`, with the black level that avoids it.
 
     pixel : its settings
     where : further words after the black level
@@ -109,8 +110,7 @@ def clip_words(dark: dict[str, float], pixel: dict[str, Any], where: str = "") -
     fits = needed <= MAX_BLACK * (2 ** pixel["bits"] - 1)
     lacking = "less gain (exposure.gain_db)" if dark["gain_db"] else "more bits (pixel.bits)"
     hint = f"set pixel.black_level_dn = {needed} to avoid this" if fits else f"avoiding this takes {lacking}"
-    return (
-        f"the black level of {black:g} DN clips dark noise{where}: {100 * dark['at_zero_fraction']:.0f} % of dark pixels "
-        f"are at 0 DN, which raises the dark mean by {rounded(dark['too_bright_e'])} e- "
-        f"(ΔE {rounded(dark['lightness'])} on uniform black, less on grey); {hint}"
-    )
+    excess_e, lightness = rounded(dark["too_bright_e"]), rounded(dark["lightness"])
+    share = 100 * dark["at_zero_fraction"]
+    values = {"black_level_dn": black, "where": where, "percent": share, "excess_e": excess_e, "lightness": lightness}
+    return Note("black_level", hint=hint, **values)

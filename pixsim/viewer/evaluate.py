@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TypeVar
 
 from pixsim.base.arguments import Whole, checks_arguments
-from pixsim.base.notes import warn
+from pixsim.base.notes import Note, warn
 from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
@@ -189,7 +189,7 @@ def evaluate(
     missing: dict[str, str] = {}
     score = evaluate_frame(chain, ("evaluate", seed), missing)
     for reason in missing.values():
-        warn(reason)
+        warn(Note("undefined_metric", words=reason))
 
     frame = score.frame
     causes = causes_of(
@@ -202,7 +202,7 @@ def evaluate(
     )
     for cause in causes:
         if cause.leaves_nothing:
-            warn(str(cause))
+            warn(cause.note)
     # The ideal picture is that of the chain, which stays.
     light, limit = noise_error_and_limit(irradiance.header)
     return replace(score, ideal=score.ideal.copy(), light=light, light_limit=limit, causes=causes, _scored=None)

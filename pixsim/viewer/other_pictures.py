@@ -9,7 +9,7 @@ import numpy as np
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Finites
 from pixsim.base.errors import invalid
-from pixsim.base.notes import warn
+from pixsim.base.notes import Note, warn
 from pixsim.viewer.display import shown_luminance
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.evaluate import with_numbers
@@ -69,7 +69,7 @@ def score_pictures(
     ideal, image = ideal.astype(float), image.astype(float)
     beyond = fraction_beyond_white(ideal if ideal.ndim == 2 else np.moveaxis(ideal, 2, 0))
     if beyond > CLIPPED_WARNING:
-        warn(f"{beyond:.0%} of the ideal picture is brighter than display white, 1, and is clipped")
+        warn(Note("white_clipped", share=beyond, hint="white is 1"))
     ideal, image = shown_luminance(ideal, display), shown_luminance(image, display)
     rows, columns = ideal.shape[:2]
     edges = np.arange(rows + 1.0), np.arange(columns + 1.0)  # a dot is a unit of length

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from pixsim.base.notes import few, warn
+from pixsim.base.notes import Note, few, warn
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.sensor.infrared import pixel_notes
@@ -13,8 +13,8 @@ from pixsim.viewer.metric_options import OF_TARGETS, has_target
 from pixsim.viewer.scene_light import SceneLight
 
 
-def review(imaging: Imaging, light: SceneLight | None = None) -> list[str]:
-    """Return what should be said of a pixel in its light, a sentence each.
+def review(imaging: Imaging, light: SceneLight | None = None) -> list[Note]:
+    """Return notes on a pixel in its light.
 
     Numbers of the pixel that are rather in another unit, light for which a model does not hold, light of another camera, and light
     that no metric asks for.
@@ -33,17 +33,17 @@ def warn_of_review(sensors: Mapping[str, Iterable[tuple[Imaging, SceneLight | No
 
     sensors : name -> the settings of each of its cases, with their light
     """
-    names: dict[str, list[str]] = {}
+    names: dict[Note, list[str]] = {}
     for name, cases in sensors.items():
         notes = (note for imaging, light in cases for note in review(imaging, light))
         for note in dict.fromkeys(notes):
             names.setdefault(note, []).append(name)
-    texts = [note if len(having) == len(sensors) else f"{', '.join(having)}: {note}" for note, having in names.items()]
-    for text in few([texts]):
-        warn(text)
+
+    for note in few([[note if len(having) == len(sensors) else note.of(having) for note, having in names.items()]]):
+        warn(note)
 
 
-def camera_notes(camera: Camera, irradiance: SpectralImage) -> list[str]:
+def camera_notes(camera: Camera, irradiance: SpectralImage) -> list[Note]:
     """Return a note if light was rendered with another camera than the one that is given."""
     stated = irradiance.header.get("camera")
     if stated is None:
@@ -52,11 +52,11 @@ def camera_notes(camera: Camera, irradiance: SpectralImage) -> list[str]:
     if rendered.lights_like(camera):
         return []
     other = [name for name, value in camera if value != getattr(rendered, name)]
-    return [f"the irradiance was rendered with another camera than the one given, of another {', '.join(other)}"]
+    return [Note("other_camera", names=", ".join(other))]
 
 
-def background_notes(metrics: tuple[str, ...], background: SpectralImage | None) -> list[str]:
+def background_notes(metrics: tuple[str, ...], background: SpectralImage | None) -> list[Note]:
     """Return a note if light without a target is given, and no metric, by its name, asks for it."""
     if background is None or has_target(metrics):
         return []
-    return [f"without is not used: neither {' nor '.join(OF_TARGETS)} is among the metrics"]
+    return [Note("not_used", setting="without", reason=f"neither {' nor '.join(OF_TARGETS)} is among the metrics")]

@@ -14,6 +14,7 @@ from pixsim.base.arrays import Array
 from pixsim.base.digits import told_apart, with_error
 from pixsim.base.errors import invalid
 from pixsim.base.headline import NOT_CONVERGED
+from pixsim.base.notes import Note
 from pixsim.base.result import Result
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.reading import Readout
@@ -39,7 +40,12 @@ class Cause:
     hint: str
 
     def __str__(self) -> str:
-        return f"{self.words}: {self.hint}"
+        return str(self.note)
+
+    @property
+    def note(self) -> Note:
+        """The note of the cause."""
+        return Note("cause", words=self.words, hint=self.hint)
 
     @property
     def leaves_nothing(self) -> bool:

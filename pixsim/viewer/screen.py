@@ -12,7 +12,7 @@ import numpy as np
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
 from pixsim.base.errors import invalid
-from pixsim.base.notes import warn
+from pixsim.base.notes import Note, warn
 from pixsim.light.spectral import DIFFUSER, DIFFUSER_W, LEAST_LM_PER_W, WHITE_RADIANCE, SpectralImage
 from pixsim.optics.camera_lens import ideal_light
 from pixsim.sensor.integration import array_size_um
@@ -247,7 +247,7 @@ def white_header(seen: Sequence[tuple[Imaging, SpectralImage]]) -> dict[str, Any
     of_all = "" if len(seen) == 1 else ", the largest of these sensors'"
     source = f"the {WHITE_FROM} in the sensor's response{of_all}, rounded up"
     fixed = f"set {setting(f'display.{name}', white)} to fix this value"
-    warn(f"the scene does not define its white: using {white:g} {unit}, {source}; {fixed}")
+    warn(Note("white_estimated", white=white, unit=unit, source=source, hint=fixed))
     return {HEADER_OF_WHITE[name]: white, "white_from": WHITE_FROM}
 
 
@@ -261,7 +261,8 @@ def _white_of_diffuser(image: SpectralImage, display: Display) -> dict[str, Any]
         raise invalid("display.white", got, "light of a scene that was rendered for it", hint)
     if DIFFUSER_W not in stated:
         if display.diffuser_reflectance != 1:
-            warn("display.diffuser_reflectance is not used: white is texel value 1 of the scene's emissive chart, and no plate")
+            reason = "white is texel value 1 of the scene's emissive chart, and no plate"
+            warn(Note("not_used", setting="display.diffuser_reflectance", reason=reason))
         return {**stated, "white_from": "texel value 1 of the chart"}
     per_nm = display.diffuser_reflectance * np.array(stated[DIFFUSER_W])
     cd_per_m2, w_per_m2_sr = (float(weights @ per_nm) for weights in (image.luminous_weight(), image.band_width_nm))
@@ -292,4 +293,4 @@ def warn_of_clipping(beyond_white: float, header: Mapping[str, Any], display: Di
     """Warn if the display clips more of the ideal image than `CLIPPED_WARNING`, on behalf of the caller of the caller."""
     if beyond_white > CLIPPED_WARNING:
         higher = displays.setting_of_white(header, display)
-        warn(f"{beyond_white:.0%} of the ideal image is brighter than display white; raise {higher}")
+        warn(Note("white_clipped", share=beyond_white, hint=f"raise {higher}"))

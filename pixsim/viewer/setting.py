@@ -9,7 +9,7 @@ from typing import Annotated, Any, Self
 from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
 
 from pixsim.base.layers import Layer
-from pixsim.base.notes import warn
+from pixsim.base.notes import Note, warn
 from pixsim.base.problems import Words
 from pixsim.base.records import NumberOrText, Record
 from pixsim.light.quantities import FilmSamples
@@ -112,7 +112,7 @@ class Setting(Effort):
             replaced = dict.fromkeys(name for later in layers[index + 1 :] for name in replaced_by_lens(layer.table, later.table))
             if replaced and layer.source:
                 stated = ", ".join(f"camera.{name}" for name in replaced)
-                warn(f"{stated} of {layer.source} is not used: the real lens, lens.file, has its own")
+                warn(Note("not_used", setting=f"{stated} of {layer.source}", reason="the real lens, lens.file, has its own"))
         return merged(layers)
 
 

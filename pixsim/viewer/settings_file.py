@@ -10,7 +10,7 @@ from typing import Any
 from pixsim.base.arguments import checks_arguments
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.layers import Layer, listed, plain_tables
-from pixsim.base.notes import warn
+from pixsim.base.notes import Note, warn
 from pixsim.base.records import checked
 from pixsim.base.toml import packaged, read_toml, resolve_file
 from pixsim.light.curves import RESPONSES
@@ -92,7 +92,7 @@ def warn_of_mixed_sensors(files: Sequence[Layer]) -> None:
         own = [name for name in layer.table["pixel"] if name in left]
         left -= set(own)
         parts.insert(0, f"{layer.source}: {', '.join(own) or 'nothing'}")
-    warn(f"[pixel] is a mixture of {len(sensors)} files. {'; '.join(parts)}")
+    warn(Note("mixed_sensors", count=len(sensors), parts="; ".join(parts)))
 
 
 def run_settings(config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], options: Mapping[str, Any]) -> Run:

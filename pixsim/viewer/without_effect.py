@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError
-from pixsim.base.notes import warn, without_warnings
+from pixsim.base.notes import Note, warn, without_warnings
 from pixsim.base.records import Record
 from pixsim.light.spectral import DIFFUSER, DIFFUSER_W, HIGH_NM, LOW_NM, SpectralImage
 from pixsim.optics.lens_options import OF_ANY_LENS
@@ -645,8 +645,8 @@ ROWS = (
 # --- notes ------------------------------------------------------------------------------------------------------------
 
 
-def effect_notes(sensors: Mapping[str, Iterable[GivenSettings]]) -> list[str]:
-    """Return sentences that name the settings without effect, and the sensors, unless all of them have it.
+def effect_notes(sensors: Mapping[str, Iterable[GivenSettings]]) -> list[Note]:
+    """Return notes that name the settings without effect, and the sensors, unless all of them have it.
 
     sensors : name -> the settings of each of its cases; what has an effect in one of them has one
     """
@@ -667,8 +667,8 @@ def effect_notes(sensors: Mapping[str, Iterable[GivenSettings]]) -> list[str]:
         names_of.setdefault(tuple(labels), []).append(name)
     notes = []
     for having, together in names_of.items():
-        text = f"{', '.join(together)} {'changes' if len(together) == 1 else 'change'} nothing here"
-        notes.append(text if len(having) == len(sensors) else f"{', '.join(having)}: {text}")
+        note = Note("no_effect", names=", ".join(together), verb="changes" if len(together) == 1 else "change")
+        notes.append(note if len(having) == len(sensors) else note.of(having))
     return notes
 
 
@@ -683,14 +683,14 @@ def warn_of_records(imaging: Imaging, light: SpectralImage) -> None:
         while len(_notes) >= KEPT_NOTES:
             del _notes[next(iter(_notes))]
         _notes[key] = effect_notes({"": [GivenSettings.of_records(imaging, light)]})
-    for text in _notes[key]:
-        warn(text)
+    for note in _notes[key]:
+        warn(note)
 
 
-_notes: dict[tuple[object, ...], list[str]] = {}
+_notes: dict[tuple[object, ...], list[Note]] = {}
 
 
 def warn_of_settings_without_effect(sensors: Mapping[str, Iterable[GivenSettings]]) -> None:
     """Warn of each of the `effect_notes`, on behalf of the public function that calls this one."""
-    for text in effect_notes(sensors):
-        warn(text)
+    for note in effect_notes(sensors):
+        warn(note)

@@ -26,7 +26,7 @@ from pixsim.sensor.spread import sheet_uncertainty
 from pixsim.studies.design import pixel_of, study_pitches_um
 from pixsim.studies.files import load_study
 from pixsim.studies.settings import Study, with_data_sheets
-from pixsim.viewer.dark_clip import clip_words, clips_dark, dark_clip
+from pixsim.viewer.dark_clip import clip_note, clips_dark, dark_clip
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import settings_layer
 
@@ -412,7 +412,7 @@ def test_low_black_level_gives_note(options: dict[str, object], gain_db: float, 
     pixel = Pixel.model_validate(sheet | options)
     dark = dark_clip(Readout.of(derive(pixel)).at(Exposure(gain_db=gain_db)), TIME_S, 1e4)
     assert clips_dark(dark) == bool(message)
-    assert not message or message in clip_words(dark, pixel.model_dump())
+    assert not message or message in clip_note(dark, pixel.model_dump())
 
 
 @pytest.mark.slow

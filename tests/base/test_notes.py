@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import ast
+import pickle
+import string
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Literal
 
 import pytest
 from hypothesis import given, strategies as st
 
 from pixsim.base.digits import told_apart
-from pixsim.base.notes import MachineWarning, collected_notes
+from pixsim.base.note_kinds import NOTES
+from pixsim.base.notes import MachineWarning, Note, collected_notes
+from pixsim.cli.options import Verbosity
+
+PACKAGE = Path(__file__).parents[2] / "pixsim"
 
 
 def tell(text: str = "told", category: type[Warning] = UserWarning) -> None:
@@ -89,3 +97,51 @@ def test_told_apart_order_is_that_of_the_numbers(value: float, limit: float) -> 
     shown, asked = map(float, told_apart(value, limit))
     assert (shown > asked) == (value > limit)
     assert (shown == asked) == (value == limit)
+
+
+CALLS = [
+    (path.name, call)
+    for path in sorted(PACKAGE.rglob("*.py"))
+    for call in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "Note"
+]
+
+
+def test_each_note_is_of_a_kind_and_has_the_values_of_its_template() -> None:
+    """A note that is rare would otherwise fail when a user needs it."""
+    made = set()
+    for name, call in CALLS:
+        (kind,) = call.args
+        assert isinstance(kind, ast.Constant), name
+        made.add(kind.value)
+        given = {keyword.arg for keyword in call.keywords}
+        wanted = {field for _, field, _, _ in string.Formatter().parse(NOTES[kind.value].template) if field}
+        assert given == wanted or (None in given and given - {None} < wanted), (name, call.lineno)
+    assert made == set(NOTES), "each kind is used"
+
+
+def test_note_keeps_its_id_in_a_process_of_a_worker_and_under_a_name() -> None:
+    note = Note("sizes_left_out", case="4t-bsi", sizes="1, 2", reason="they have no photodiode.")
+    assert str(note) == "4t-bsi: 1, 2 µm left out: they have no photodiode"
+    copy = pickle.loads(pickle.dumps(note))
+    assert (copy, copy.id, copy.of(["a", "b"]).id) == (note, note.id, note.id)
+    assert copy.of(["a", "b"]).as_dict() == {"id": "sizes_left_out", "text": f"a, b: {note}"}
+
+
+def test_note_is_printable() -> None:
+    assert str(Note("other", words="a\x1b[2J")) == "a\\x1b[2J"
+
+
+@pytest.mark.parametrize(
+    ("note", "quiet", "lines"),
+    [
+        (Note("no_effect", names="a", verb="changes"), False, 1),
+        (Note("no_effect", names="a", verb="changes"), True, 0),
+        (Note("reflectance", what="r", highest=1.2, place="b"), True, 1),
+    ],
+)
+def test_quiet_hides_advice_only(note: Note, quiet: bool, lines: int, capsys: pytest.CaptureFixture[str]) -> None:
+    verbosity = Verbosity()
+    verbosity.quiet = quiet
+    verbosity.warning(UserWarning(note))
+    assert capsys.readouterr().err.count("warning: ") == lines

@@ -419,7 +419,7 @@ def test_catalogue_of_the_user_goes_first(tmp_path: Path) -> None:
     assert (lens.prescription.glasses[0].name, lens.prescription.glasses[0].source) == ("MINE:BK7", "file 'mine.agf'")
     other = wild("air.zmx", glass_catalogues=[tmp_path / "mine.agf"])
     assert abs(focal_mm(other) - FOCAL_MM) > 0.05
-    with pytest.warns(UserWarning, match="lens.glass_catalogues change nothing"):
+    with pytest.warns(UserWarning, match="lens.glass_catalogues is not used"):
         pixsim.load_lens("singlet", glass_catalogues=[tmp_path / "mine.agf"])
     with pytest.raises(pixsim.PixsimError, match=r"lens\.glass_catalogues: .*none\.agf"):
         wild("air.zmx", glass_catalogues=[tmp_path / "none.agf"])

@@ -67,9 +67,12 @@ def test_compare_says_each_note_once(tmp_path: Path) -> None:
     notes = [line.removeprefix("note: ") for line in out.splitlines() if line.startswith("note: ")]
     assert [note.split()[0] for note in notes] == ["quiet:", "noisy_one:"]
     assert all("clips dark noise" in note for note in notes)
-    (warned,) = re.findall(r"^warning: (quiet: pixel: prnu = 0.06 is unusual.*)\.$", err, re.MULTILINE)
+    (warned,) = re.findall(r"^warning: (quiet: pixel: prnu = 0.06 is unusual.*)$", err, re.MULTILINE)
     assert err.count("warning: ") == 1
-    assert json.loads((tmp_path / "out/compare.json").read_text(encoding="utf-8"))["notes"] == [warned, *notes]
+    assert json.loads((tmp_path / "out/compare.json").read_text(encoding="utf-8"))["notes"] == [
+        {"id": "unit_slip", "text": warned},
+        *({"id": "black_level", "text": note} for note in notes),
+    ]
     page = html.unescape(text_of(tmp_path / "out"))
     assert [page.count(f"Note: {note}.") for note in (warned, *notes)] == [1] * 3
 

@@ -89,7 +89,8 @@ def test_run_notes_reach_score_page_and_json(rendered, tmp_path):
     """What it was warned of is on stderr, too."""
     line = f"run {rendered[0] / 'irradiance.exr'} --camera.f-number 8 {OPTIONS} --json --out {tmp_path}"
     score, err = scored(line)
-    other, bright, dark = score["notes"]
+    assert [note["id"] for note in score["notes"]] == ["other_camera", "white_clipped", "black_level"]
+    other, bright, dark = (note["text"] for note in score["notes"])
     assert other.startswith("the irradiance was rendered with another camera")
     assert "of the ideal image is brighter than display white" in bright
     assert err.startswith(f"warning: {other}")
@@ -97,7 +98,7 @@ def test_run_notes_reach_score_page_and_json(rendered, tmp_path):
     assert dark.startswith("the black level of 0 DN clips dark noise")
     assert json.loads((tmp_path / "score.json").read_text(encoding="utf-8"))["notes"] == score["notes"]
     page = html.unescape(text_of(tmp_path))
-    assert all(note[1:] in page for note in score["notes"])  # with a capital letter first
+    assert all(note["text"][1:] in page for note in score["notes"])  # with a capital letter first
 
 
 # --- Pictures made elsewhere ---

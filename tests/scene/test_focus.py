@@ -22,7 +22,7 @@ from pixsim.scene.guard.child import ChildTracer
 from pixsim.scene.guard.own_tracer import OwnTracer
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import Renderer
-from pixsim.sensor.infrared import focus_note
+from pixsim.sensor.infrared import focus_notes
 from pixsim.sensor.pixel_options import Pixel
 
 # A plane 0.3 m away, a part of the picture wide, turned about the vertical axis.
@@ -119,10 +119,10 @@ def test_note_begins_where_the_least_disc_is_two_pixels(lens: dict[str, Any], tm
         for pixels, said in ((1.99, False), (2.01, True)):
             sharpest_m = depth_of_disc_m(camera, side * pixels * 3.0)
             assert abs(signed_disc_um(camera, sharpest_m)) == pytest.approx(pixels * 3.0, rel=1e-9)
-            note = focus_note(3.0, camera, light_of([0.2, sharpest_m, math.inf]))
-            assert bool(note) == said
-            assert not said or "focuses at 0.3 m, and the scene is at 0.2 m to infinity" in note
-    assert focus_note(3.0, camera, SpectralImage([550.0], 10.0, 5.0, data=np.ones((4, 4, 1)))) == "", "depths are not known"
+            notes = focus_notes(3.0, camera, light_of([0.2, sharpest_m, math.inf]))
+            assert len(notes) == said
+            assert all("focuses at 0.3 m, and the scene is at 0.2 m to infinity" in note for note in notes)
+    assert not focus_notes(3.0, camera, SpectralImage([550.0], 10.0, 5.0, data=np.ones((4, 4, 1)))), "depths are not known"
 
 
 @pytest.mark.parametrize(

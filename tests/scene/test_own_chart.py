@@ -199,7 +199,7 @@ def test_run_chart_picture_is_seen_with_its_border(tmp_path: Path, monkeypatch: 
     assert code == 0, err
     score = json.loads(out)
     note = "the picture 'mine.png' keeps its aspect: 50 % of the chart is a grey border"
-    assert note in score["notes"]
+    assert {"id": "file_as_read", "text": note} in score["notes"]
     assert f"warning: {note}" in err
     light = pixsim.read_exr("out/irradiance.exr")
     assert light.header["parameters"]["chart"] == "mine.png"

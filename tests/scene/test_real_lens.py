@@ -130,7 +130,7 @@ def test_light_that_does_not_fit_a_film_cell_or_a_psf_is_told() -> None:
     waves = lens.wavefront(np.array([field]), np.array([nm]), x[inside], y[inside])
     outside = np.maximum(np.abs(waves.x_mm[0]), np.abs(waves.y_mm[0])) > 0.125
     assert plan.tiling.lacking == pytest.approx(outside.mean(), abs=0.1)
-    (told,) = [note for note in plan.warnings if "the film is too coarse for the blur" in note]
+    (told,) = [note for note in plan.warnings if "the film is too coarse" in note]
     assert f"up to {plan.tiling.error:.1%} of the picture's contrast" in told
     assert "Take a finer film" in told
     cut = replace(plan.tiling, psf_um=445.0, error=0.1, cut_error=0.09, lacking=0.5)

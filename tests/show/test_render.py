@@ -9,6 +9,7 @@ import pytest
 from helpers.browser import assert_fits, needs_browser
 from helpers.looks import Elements
 
+from pixsim.base.notes import Note
 from pixsim.show import render
 from pixsim.show.document import (
     Answer,
@@ -18,7 +19,6 @@ from pixsim.show.document import (
     DocumentTable,
     Link,
     Listed,
-    Note,
     Plot,
     Section,
     Strong,
@@ -43,7 +43,7 @@ def plate() -> Plate:
 TABLE = DocumentTable("sizes", HEAD, ROWS, EVIL, words=(2,), stacks=True)
 BLOCKS: tuple[Block, ...] = (
     (f"{EVIL}, ", Strong("5.3 µm"), " in ", Link(EVIL, 'a "b".csv'), " is ", VerdictText("good", True)),
-    *(Listed((EVIL, "second")), TABLE, Beside((pairs("versions", {"python": EVIL}),)), Plot(plate), Note(EVIL)),
+    *(Listed((EVIL, "second")), TABLE, Beside((pairs("versions", {"python": EVIL}),)), Plot(plate), Note.restored("other", EVIL)),
 )
 
 
@@ -58,7 +58,9 @@ def document(**changes: object) -> Document:
 
 def test_terminal_has_words_left_numbers_right_and_headings_of_rows_at_the_edge() -> None:
     shown = render.text(
-        document(terminal=(Answer("head", ("below",)), DocumentTable("", HEAD, ROWS[:3], words=(2,)), Note("warned")))
+        document(
+            terminal=(Answer("head", ("below",)), DocumentTable("", HEAD, ROWS[:3], words=(2,)), Note("other", words="warned"))
+        )
     )
     assert shown.splitlines() == [
         "head",

@@ -179,7 +179,7 @@ def test_own_exposure_and_shared_settings(tmp_path: Path) -> None:
     """[exposure] is each sensor's own; display and light are the first file's, with a warning about another's."""
     a = sheet(tmp_path / "a.toml")
     b = sheet(tmp_path / "b.toml", more="[exposure]\nmax_integration_s = 0.01\n[display]\ngamma = 1.0\n[scene]\nspp = 4\n")
-    words = r"b\.toml: only \[camera\], \[lens\], \[pixel\], \[exposure\] are used, not display, scene"
+    words = r"b\.toml: display, scene is not used: only \[camera\], \[lens\], \[pixel\], \[exposure\] are used of it"
     with pytest.warns(UserWarning, match=words):
         made = prepared([a, b])
     assert [each.settings.exposure.max_integration_s for each in made.cases] == [0.1, 0.01]

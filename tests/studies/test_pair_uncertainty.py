@@ -127,7 +127,7 @@ def test_third_sensor_and_conditions_change_no_type_of_a_pair(tmp_path: Path) ->
     pair = of(*files, draws=8).uncertainty[0]
     among = of(*files, sheet(tmp_path / "c.toml", 9.0, 15.0, "[40, 40]"), draws=8)
     assert [found.names for found in among.uncertainty] == [("a", "b")]
-    assert "a and c: no number of these two is unknown, so that nothing is drawn for them" in among.notes
+    assert "a and c: nothing is drawn, since no number of these two is unknown" in among.notes
     np.testing.assert_allclose(among.uncertainty[0].differences, pair.differences, rtol=1e-12)
     short = {"exposure": {"max_integration_s": 0.02}}
     conditions = [

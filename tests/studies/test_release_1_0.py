@@ -29,7 +29,9 @@ def study(tmp_path: Path) -> Path:
 
 def test_rows_are_kept_apart_and_their_release_named(study: Path) -> None:
     results, before = Store(study / "results.csv"), (study / "results.csv").read_bytes()
-    said = r"the rows of '.*results.csv' are of pixsim 1.0.0. They are kept in 'results.csv.old', and computed again; only"
+    said = (
+        r"the rows of .*results.csv. are of pixsim 1.0.0. The file is kept as .results.csv.old., and they are computed again; only"
+    )
     with pytest.warns(UserWarning, match=said):
         assert not results.resume(lambda _: False)
     assert (study / "results.csv.old").read_bytes() == before
@@ -39,7 +41,7 @@ def test_rows_are_kept_apart_and_their_release_named(study: Path) -> None:
 def test_rows_of_an_interrupted_study_are_named_without_a_release(study: Path) -> None:
     """Its folder has no provenance.json yet."""
     (study / "provenance.json").unlink()
-    with pytest.warns(UserWarning, match=r"are of other settings, or of another version of pixsim\. They are kept in"):
+    with pytest.warns(UserWarning, match=r"are of other settings, or of another version of pixsim\. The file is kept as"):
         Store(study / "results.csv").resume(lambda _: False)
 
 

@@ -93,16 +93,17 @@ def test_study_notes_reach_result_summary_page_and_json(tmp_path: Path) -> None:
     code, message, err = command(f"study {toml} --out {tmp_path / 'out'} --jobs 1 --json")
     assert code == 0
     summary = json.loads(message)
-    bright, is_open, dark = summary["notes"]
+    texts = [note["text"] for note in summary["notes"]]
+    bright, is_open, dark = texts
     assert "of the ideal image is brighter than display white" in bright
     assert "the interval is open" in is_open
     assert "the black level of 0 DN clips dark noise" in dark
     assert json.loads((tmp_path / "out/summary.json").read_text(encoding="utf-8"))["notes"] == summary["notes"]
     page = html.unescape((tmp_path / "out/report.html").read_text(encoding="utf-8"))
-    assert all(note in page for note in summary["notes"])
+    assert all(note in page for note in texts)
     assert f"warning: {bright}" in err
     # Each speaks to its caller.
-    expected = [note.replace("--display.white-cd-per-m2", "Display(white_cd_per_m2=…)") for note in summary["notes"]]
+    expected = [note.replace("--display.white-cd-per-m2", "Display(white_cd_per_m2=…)") for note in texts]
     for folder in ("python", "out"):
         with pytest.warns(UserWarning, match="brighter than display white"):
             assert pixsim.study(tiny_study(**over), tmp_path / folder, jobs=1).notes == expected

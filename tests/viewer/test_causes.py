@@ -386,7 +386,7 @@ def test_run_names_the_cause_in_its_headline() -> None:
     first = score["causes"][0]
     assert first["words"].endswith("of a step of the ADC above black")
     assert line.startswith(f"mean ΔE {score['mean_delta_e']:.3f} ({first['words']}) ")
-    assert second.strip() == score["notes"][0] == f"{first['words']}: {first['hint']}"
+    assert second.strip() == score["notes"][0]["text"] == f"{first['words']}: {first['hint']}"
     assert "--pixel.bits" in first["hint"]
 
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from pixsim.base import cache, machine
-from pixsim.base.notes import MachineWarning, warn
+from pixsim.base.notes import Note, warn
 from pixsim.scene.variants.trial import Trial, attempt, picture_fault
 
 CUDA = "cuda_ad_spectral"
@@ -129,7 +129,7 @@ def verdict(again: bool = False) -> GraphicsTrial:
             break
         cache.forget(KIND, key)
     if known and not again:
-        warn(told(known[0]), MachineWarning)
+        warn(Note("machine", words=told(known[0])))
     return verdict
 
 

@@ -22,7 +22,7 @@ from pathlib import Path
 from pixsim.base import cache
 from pixsim.base.children import safe_variables
 from pixsim.base.errors import did_you_mean, invalid
-from pixsim.base.notes import MachineWarning, warn
+from pixsim.base.notes import Note, warn
 from pixsim.scene.variants import graphics
 
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
@@ -197,7 +197,7 @@ def choose(asked: str | None = None) -> ChosenVariant:
     if card.fault is None:
         return ChosenVariant(CUDA, processors.llvm_path, f"{card.card} passed its trial", processors)
     if lacks:
-        warn(f"rendering with {SCALAR}, since {lacks}", MachineWarning)
+        warn(Note("machine", words=f"rendering with {SCALAR}, since {lacks}"))
     return replace(processors, reason=f"{processors.reason}; no graphics card: {card.fault}")
 
 
