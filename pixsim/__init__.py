@@ -109,7 +109,13 @@ _MODULES = {
 }
 
 # Type of results -> the module that plots, writes and shows them.
-PRESENTERS = {"EdgeResponse": "report.sfr", "RunResult": "report.run", "Score": "report.score", "Table": "report.table"}
+PRESENTERS = {
+    "DataSheet": "report.datasheet",
+    "EdgeResponse": "report.sfr",
+    "RunResult": "report.run",
+    "Score": "report.score",
+    "Table": "report.table",
+}
 
 __all__ = [*_HOME, "optics"]
 

@@ -584,7 +584,7 @@ def datasheet(
     """
     import_less()
     from pixsim.measure.datasheet import datasheet_settings, make_datasheet
-    from pixsim.measure.datasheet_report import FILES, datasheet_document, sheet_name
+    from pixsim.report.datasheet import FILES, datasheet_document, sheet_name
     from pixsim.show.render import write
 
     tables = given({"pixel": pixel, "exposure": exposure})

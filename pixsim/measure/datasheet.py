@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +23,8 @@ from pixsim.base.digits import rounded
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.layers import listed
 from pixsim.base.progress import Stage, no_stage
-from pixsim.base.tables import plain, rows_csv
+from pixsim.base.result import Result
+from pixsim.base.tables import plain
 from pixsim.base.toml import read_toml
 from pixsim.measure import colour as colours, estimators
 from pixsim.measure.colour import Colour, measure_colour
@@ -49,15 +50,10 @@ from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import frame_variance_dn2
 from pixsim.sensor.saturation import level_moments, peak_e
 from pixsim.sensor.stages import STAGES
-from pixsim.show.pages import Figures
-from pixsim.show.render import notebook, write
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import packaged_sensors, run_settings
 from pixsim.viewer.without_effect import TABLES, GivenSettings, fields_of, warn_of_settings_without_effect
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 LEAST_NOISE_DN = 0.1  # of light at saturation: below it, most frames of even light have one code and no noise
 GREY_FRAMES = 16  # ISO 15739 requires at least 8
@@ -106,7 +102,7 @@ def dark_map_e(experiment: Experiment) -> Array:
 
 
 @dataclass(frozen=True)
-class DataSheet:
+class DataSheet(Result):
     """The frames' statistics of one device, the estimates from them, and the true values.
 
     experiment : the device and its exposures
@@ -230,108 +226,15 @@ class DataSheet:
         charge_e = e.sensor.dark_gain * (p.dark_current_e_per_s * float(self.dark_series.at[-1]))
         return float(np.mean(charge_e > p.saturation_e))
 
-    @property
-    def notes(self) -> list[str]:
-        """Notes for the reader: a raised black level, a quantisation limit, a non-linear conversion."""
-        pixel, p, asked = self.experiment.pixel, self.experiment.readout, self.experiment.asked_black_dn
-        notes = []
-        if pixel.black_level_dn != asked:
-            name = "full well" if pixel.adc_full_scale_e is None else "full scale"
-            left = f"The {name} spans the remaining codes, which reduces K."
-            if p.adc.gain_e_per_dn is not None:
-                left = f"The ADC's range is {p.adc_range_e:.4g} e- above it."
-            notes.append(
-                f"black level raised from {asked:g} to {pixel.black_level_dn:g} DN, 6 σ of the dark noise, so that the dark frames "
-                f"are not clipped at 0 DN. {left}"
-            )
-        if p.adc_range_e < p.full_well_e:
-            notes.append(
-                f"the ADC clips before the well: its top code is at {p.adc_range_e:.4g} e-, the full well at "
-                f"{p.full_well_e:.4g} e-. The saturation capacity is that of the ADC."
-            )
-        if self.transfer.limited:
-            notes.append(
-                f"quantisation-limited: σ²_y.dark = {self.dark.variance_dn2:.3g} DN² is below 0.24 DN². σ_d is an upper bound, "
-                "DR_ISO says nothing of the sensor, and K and all values derived from it are wrong by some per cent, because the "
-                f"quantisation noise is no longer 1/12 DN². Use more than {pixel.bits} bits (pixel.bits)."
-            )
-        physics, at_nm = self.experiment.physics, self.experiment.wavelength_nm
-        if physics.layout is not None:
-            notes.append(
-                f"colour filters {physics.layout}: EMVA 1288, ISO 15739 and ISO 12232 take each channel for itself. Values without "
-                f"the name of a channel are those of {physics.channel}, in light of {at_nm:g} nm; gain, dark noise "
-                "and dark current are those of all channels."
-            )
-        if p.bin_side > 1:
-            notes.append(
-                f"binning: a pixel of this sheet is the sum of {p.bin_side} × {p.bin_side} pixels of {physics.pitch_um:g} µm."
-            )
-        if isinstance(self.colour, str):
-            notes.append(f"no colour matrix: {self.colour}")
-        if self.full_in_the_dark:
-            notes.append(
-                f"hot pixels: {100 * self.full_in_the_dark:.2g} % of the pixels are full in the last exposure of the dark series, "
-                "so that the measured dark current is too low."
-            )
-        if pixel.conversion != "linear":
-            notes.append(
-                "conversion = 'junction': the gain changes as the well fills, so the linear model of EMVA 1288 does not hold. "
-                "The measured K, R and η are means over the fitted range; the true values refer to the charge."
-            )
-        return notes
-
     @cached_property
     def entries(self) -> list[Entry]:
         """All lines of the data sheet, grouped by standard."""
         return [*(*sensitivity(self), *channels(self), *spatial(self), *dark(self)), *(*noise(self), *speed(self), *colour(self))]
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the data sheet as in summary.json."""
-        e = self.experiment
-        return {
-            "pixel": e.pixel.model_dump(), "assumption": e.physics.pixel.assumption,
-            "wavelength_nm": e.wavelength_nm, "integration_s": e.integration_s, "gain_db": e.readout.gain_db,
-            "shape": list(e.sensor.shape), "exposures": e.photons.size, "stack_frames": e.stack_frames, "seed": e.seed,
-            "black_level_asked_dn": e.asked_black_dn, "quantisation_limited": self.transfer.limited,
-            "notes": self.notes, "entries": [entry.as_dict() for entry in self.entries],
-        }  # fmt: skip
-
-    @checks_arguments
-    def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
-        """Return a row for each line of the data sheet as CSV, and write it to `path` if given."""
-        return rows_csv([entry.as_dict() for entry in self.entries], path)
-
-    @checks_arguments
-    def write(self, folder: str | os.PathLike[str], figures: Figures = "svg") -> Path:
-        """Write report.html, datasheet.csv, summary.json, figures/ (*.svg, *.csv) and provenance.json.
-
-        folder : created if missing
-        figures : "pdf" writes a PDF beside each SVG
-
-        Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
-        pixsim did not write.
-        """
-        from pixsim.measure.datasheet_report import datasheet_document
-
-        return write(datasheet_document(self), Path(folder), figures=figures)
-
-    def plot(self) -> Figure:
-        """Return a Matplotlib figure of the photon transfer: temporal variance against mean signal."""
-        from pixsim.measure.datasheet_report import photon_transfer_plate
-
-        return photon_transfer_plate(self).figure
-
-    def _repr_html_(self) -> str:
-        from pixsim.measure.datasheet_report import datasheet_document
-
-        return notebook(datasheet_document(self))
-
     def __repr__(self) -> str:
-        from pixsim.measure.datasheet_report import described
-
-        t = self.transfer
+        physics, t = self.experiment.physics, self.transfer
         values = f"K {t.gain_dn_per_e.value:.3g} DN/e-, η {100 * t.efficiency.value:.3g} %, σ_d {t.dark_noise_e.value:.3g} e-"
-        return f"<DataSheet {described(self).head}: {values}, μ_e.sat {rounded(t.saturation_e.value, 4)} e->"
+        return f"<DataSheet of {physics.pitch_um:g} µm pixels: {values}, μ_e.sat {rounded(t.saturation_e.value, 4)} e->"
 
 
 @checks_arguments

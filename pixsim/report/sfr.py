@@ -55,7 +55,7 @@ def sfr_data(edge: EdgeResponse) -> dict[str, Any]:
         "half_window_px": edge.half_window_px,
         "rows_used": edge.rows_used,
         "pitch_um": edge.pitch_um,
-        "warnings": list(edge.notes),
+        "notes": [note.as_dict() for note in edge.notes],
     }
     if edge.pitch_um is not None:
         px_per_mm = 1e3 / edge.pitch_um

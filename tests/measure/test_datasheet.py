@@ -20,9 +20,9 @@ from pixsim.light.quantities import MIN_FRACTION
 from pixsim.measure import datasheet, estimators
 from pixsim.measure.colour import colour_truth, measure_colour, noise_gain, smi
 from pixsim.measure.datasheet import DataSheet, Entry, expected_moments, make_datasheet, mean_offset_e, variance_peak_e
-from pixsim.measure.datasheet_report import FILES as PLANNED, datasheet_document, described, sheet_name, spectrogram
 from pixsim.measure.estimators import Estimate, FrameStack, PairSeries, daylight_e_per_lx_s
 from pixsim.measure.experiment import DARK_TIMES, EXPOSURES, make_experiment, peak_wavelength_nm, pixel_efficiency
+from pixsim.report.datasheet import FILES as PLANNED, datasheet_document, datasheet_notes, described, sheet_name, spectrogram
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.noise import signal_at_snr_e
 from pixsim.sensor.pixel import derive
@@ -271,7 +271,7 @@ def test_entries_at_gain_and_with_mismatch_within_standard_errors(options: dict[
     dark_e = plain.dark_current_e_per_s * made.experiment.integration_s
     assert by_symbol(made)["σ_d"].true == pytest.approx(math.sqrt(noise_e2 + dark_e), rel=1e-12)
     assert (f"{gain_db:g} dB" in str(described(made))) == (gain_db > 0)
-    assert not any("hot pixels" in note for note in made.notes)
+    assert not any("hot pixels" in note for note in datasheet_notes(made))
 
 
 @pytest.mark.parametrize(("seed", "options"), [(1, {}), (2, {}), (1, {"adc_full_scale_e": 2e5})])
@@ -295,7 +295,7 @@ def test_datasheet_of_full_hot_pixels_says_so() -> None:
     pixel = Pixel.model_validate({"pitch_um": 5.3, "bits": 12} | HOT | {"hot_pixel_median": 20.0})
     made = make_datasheet(pixel, shape=(100, 100), stack_frames=8)
     assert 0.007 < made.full_in_the_dark < 0.013  # 1 % of 10 000, 3σ
-    assert any("hot pixels: " in note and "dark current is too low" in note for note in made.notes)
+    assert any("hot pixels: " in note and "dark current is too low" in note for note in datasheet_notes(made))
     entry = by_symbol(made)["μ_I.mean"]
     assert entry.measured < 0.97 * entry.true
 
@@ -315,7 +315,7 @@ def test_make_datasheet_junction_conversion_raises_linearity_error() -> None:
     lines = by_symbol(bent)
     assert lines["LE"].measured == pytest.approx(lines["LE"].true, rel=0.05)
     assert lines["LE"].measured > 0.5
-    assert any("linear model" in note for note in bent.notes)
+    assert any("linear model" in note for note in datasheet_notes(bent))
 
 
 def test_spectrogram_white_noise_is_flat() -> None:
@@ -354,7 +354,7 @@ def test_colour_entries_measured_within_standard_errors(colour_sheet: DataSheet)
     test_entries_measured_within_standard_errors(colour_sheet)
     physics, lines = derive(colour_pixel()), by_symbol(colour_sheet)
     assert "530 nm on channel G" in str(described(colour_sheet))
-    assert any("those of G" in note for note in colour_sheet.notes)
+    assert any("those of G" in note for note in datasheet_notes(colour_sheet))
     for symbol, letter in (("η", "G"), ("η_R", "R"), ("η_B", "B")):
         (channel,) = (one for one in physics.channels if one.channel == letter)
         assert lines[symbol].true == pytest.approx(100 * pixel_efficiency(channel, peak_wavelength_nm(channel)), rel=1e-12)
@@ -418,7 +418,9 @@ def test_colour_truth_knows_crosstalk() -> None:
 def test_filters_that_tell_no_colours_apart_leave_a_note() -> None:
     pixel = colour_pixel(colour=D5100 | {"matrix": ["RG"]})
     made = make_datasheet(pixel, shape=(40, 40), stack_frames=4)
-    assert any(re.match("no colour matrix: colour under D55: got channels of rank 2", note) for note in made.notes), made.notes
+    assert any(re.match("no colour matrix: colour under D55: got channels of rank 2", note) for note in datasheet_notes(made)), (
+        datasheet_notes(made)
+    )
     assert "SMI" not in by_symbol(made)
     assert {"η", "η_G"} < set(by_symbol(made))
 
@@ -465,7 +467,9 @@ def test_channel_without_measurable_white_leaves_a_note() -> None:
     made = make_datasheet(
         colour_pixel(colour={"quantum_efficiencies": bells((600.0, 540.0, 460.0), 40.0, blue=1e-6)}), shape=(20, 20), stack_frames=4
     )
-    assert any(re.search("white of .* standard error of .* in channel B; allowed: more than 5", note) for note in made.notes)
+    assert any(
+        re.search("white of .* standard error of .* in channel B; allowed: more than 5", note) for note in datasheet_notes(made)
+    )
     assert "SMI" not in by_symbol(made)
 
 
@@ -519,8 +523,8 @@ def test_datasheet_shows_itself(sheet: DataSheet) -> None:
     cell = sheet._repr_html_()
     assert "<script" not in cell
     assert all(f"<td>{entry.symbol}</td>" in cell for entry in sheet.entries)
-    assert all(note.split(". ")[0] in cell for note in sheet.notes)
-    assert repr(sheet).startswith("<DataSheet 0.35um, 5.3 µm pixels, 12 bits, black level")
+    assert all(note.split(". ")[0] in cell for note in datasheet_notes(sheet))
+    assert repr(sheet).startswith("<DataSheet of 5.3 µm pixels: K ")
     assert f"K {sheet.transfer.gain_dn_per_e.value:.3g} DN/e-" in repr(sheet)
 
 
@@ -543,8 +547,8 @@ def test_datasheet_command_options_and_file_write_same_files(tmp_path: Path, mon
     assert code == 0, err
     summary = json.loads(out)
     assert summary["quantisation_limited"]
-    assert any("quantisation-limited" in note for note in summary["notes"])
-    assert any("black level raised from 0" in note for note in summary["notes"])
+    assert any("quantisation-limited" in note["text"] for note in summary["notes"])
+    assert any("black level raised from 0" in note["text"] for note in summary["notes"])
     code, out, err = command(f"datasheet {file} --pixel.pitch-um 15 --seed 3 --out {folders[1]}")
     assert code == 0, err
     assert out.startswith("0.35um, 15 µm pixels, 10 bits")

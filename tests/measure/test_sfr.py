@@ -225,7 +225,7 @@ def test_pictures_of_other_programs_are_measured(file: str, channel: str | None,
         result = sfr(CASES / file, channel=channel, layout=layout).as_dict()
     assert result["mtf50_cy_per_px"] == pytest.approx(MTF50, abs=1.5e-3)
     assert result["sfr_at_nyquist"] == pytest.approx(AT_NYQUIST, abs=2e-3)
-    assert len(result["warnings"]) == warned == len(caught)
+    assert len(result["notes"]) == warned == len(caught)
 
 
 @pytest.mark.parametrize(

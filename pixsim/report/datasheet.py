@@ -1,8 +1,9 @@
-"""The document of a data sheet: its values beside the true ones, and its figures with their data."""
+"""The page of a data sheet: its values beside the true ones, and its figures with their data."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import partial
 from itertools import groupby
 from operator import attrgetter
@@ -11,22 +12,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.digits import number
+from pixsim.base.digits import number, rounded
 from pixsim.base.notes import Note
+from pixsim.base.tables import rows_csv
+from pixsim.measure.datasheet import DataSheet, Entry
 from pixsim.measure.estimators import LINEARITY_SHARES, SENSITIVITY_SHARE, straight_line
 from pixsim.sensor.labels import file_label, label_of
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.sensor.readout import BLACK_SIGMAS
 from pixsim.show.document import Answer, Document, DocumentTable, Plot, Section, headline, made_with, pairs
-from pixsim.show.figures import COLOURS, LOOKS, Look, finish, new_figure, own_style, plain_powers
-from pixsim.show.pages import Plate, figure_files
+from pixsim.show.figures import COLOURS, LOOKS, Look, finish, new_figure, plain_powers
+from pixsim.show.pages import Drawing, figure, figure_files
+from pixsim.show.presenter import Presenter
 from pixsim.show.sentences import setting_value
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from pixsim.measure.datasheet import DataSheet, Entry
 
 BLUE, ORANGE = COLOURS[:2]
 DARK, LIGHT = LOOKS[2:4]  # distinct in greyscale, for overlapping lines
@@ -35,24 +35,18 @@ BINS = 101
 
 
 FIGURES = ("photon_transfer", "responsivity", "snr", "linearity", "dark_current", "histograms", "spectrograms", "profiles")
-FILES = (
-    "report.html", "summary.json", "datasheet.csv", *figure_files(FIGURES),
-)  # fmt: skip
-
-
-def plate(name: str, caption: str, figure: Figure, table: dict[str, Array]) -> Plate:
-    """A plate whose shorter columns are padded with NaN."""
-    longest = max(len(column) for column in table.values())
-    filled = {key: column.tolist() + [math.nan] * (longest - len(column)) for key, column in table.items()}
-    return Plate(name, caption, figure, filled)
+FILES = ("report.html", "summary.json", "datasheet.csv", *figure_files(FIGURES))
 
 
 def photon_axis(sheet: DataSheet) -> str:
     return f"photons per pixel, μ_p ({sheet.experiment.wavelength_nm:g} nm)"
 
 
-@own_style()
-def photon_transfer_plate(sheet: DataSheet) -> Plate:
+@figure(
+    "photon_transfer",
+    "Photon transfer: the slope between 0 and 70 % of saturation is the system gain K; saturation is the peak of the variance.",
+)
+def photon_transfer_plate(sheet: DataSheet) -> Drawing:
     """Temporal variance against mean signal, both minus the dark."""
     t, light, (expected, expected_variance) = sheet.transfer, sheet.light, sheet.expected
     signal, variance = sheet.signal_dn, light.variance_dn2 - sheet.dark.variance_dn2
@@ -67,17 +61,13 @@ def photon_transfer_plate(sheet: DataSheet) -> Plate:
     axes.plot(signal[t.saturation_index], variance[t.saturation_index], "v", ms=9, mfc="white", mec=ORANGE, mew=1.5,
               label="saturation")  # fmt: skip
     finish(axes, "mean gray value minus dark, μ_y − μ_y.dark (DN)", "temporal variance, σ²_y − σ²_y.dark (DN²)")
-    caption = (
-        "Photon transfer: the slope between 0 and 70 % of saturation is the system gain K. Saturation is the peak of the variance, "
-        "beyond which the pixels reach full well, those of higher gain first."
-    )
     table = {"photons_p": light.at, "signal_dn": signal, "variance_dn2": variance, "expected_signal_dn": expected,
              "expected_variance_dn2": expected_variance, "fitted": t.fitted.astype(int)}  # fmt: skip
-    return plate("photon_transfer", caption, figure, table)
+    return figure, table
 
 
-@own_style()
-def responsivity_plate(sheet: DataSheet) -> Plate:
+@figure("responsivity", "Mean signal against photons: the slope is the responsivity R, and η = R/K.")
+def responsivity_plate(sheet: DataSheet) -> Drawing:
     """Mean signal against photons."""
     t, light, signal = sheet.transfer, sheet.light, sheet.signal_dn
     figure = new_figure(6.4, 4.0)
@@ -89,12 +79,11 @@ def responsivity_plate(sheet: DataSheet) -> Plate:
     axes.axvline(t.saturation_p.value, color="0.5", lw=1, ls=":", label="saturation")
     axes.set_ylim(top=1.15 * signal.max())
     finish(axes, photon_axis(sheet), "mean gray value minus dark (DN)")
-    caption = "Mean signal against photons. The slope is the responsivity R; the quantum efficiency of the whole pixel is η = R/K."
-    return plate("responsivity", caption, figure, {"photons_p": light.at, "signal_dn": signal})
+    return figure, {"photons_p": light.at, "signal_dn": signal}
 
 
-@own_style()
-def snr_plate(sheet: DataSheet) -> Plate:
+@figure("snr", "SNR against photons. The dynamic range lies between the two vertical lines; PRNU limits the total SNR.")
+def snr_plate(sheet: DataSheet) -> Drawing:
     """SNR with temporal noise and with total noise against photons, log-log."""
     t, rising = sheet.transfer, sheet.rising
     photons, signal = rising.at, rising.mean_dn - sheet.dark.mean_dn
@@ -112,13 +101,12 @@ def snr_plate(sheet: DataSheet) -> Plate:
     axes.axvline(t.saturation_p.value, color="0.5", lw=1, ls="-.", label="μ_p.sat")
     axes.set_ylim(bottom=0.1)
     finish(axes, photon_axis(sheet), "SNR (mean / standard deviation)", "lower right")
-    caption = "SNR against photons. The dynamic range lies between the two vertical lines. PRNU limits the total SNR."
     table = {"photons_p": photons, "snr_temporal": snr_temporal, "snr_total": snr_total, "snr_model": model}
-    return plate("snr", caption, figure, table)
+    return figure, table
 
 
-@own_style()
-def linearity_plate(sheet: DataSheet) -> Plate:
+@figure("linearity", "Linearity: deviation of the mean signal from a straight line. Bars: standard error.")
+def linearity_plate(sheet: DataSheet) -> Drawing:
     """Relative deviation of the mean signal from a straight line."""
     result, light = sheet.linearity, sheet.light
     percent, inside = 100 * result.deviation, result.within
@@ -135,13 +123,15 @@ def linearity_plate(sheet: DataSheet) -> Plate:
     widest = 1.3 * float((np.abs(percent) + error)[inside].max())
     axes.set_ylim(-widest, widest)
     finish(axes, photon_axis(sheet), "deviation from a straight line (%)")
-    caption = "Linearity: relative deviation of the mean signal from a straight line fitted to minimise it. Bars: standard error."
     table = {"photons_p": light.at, "deviation_percent": percent, "within": inside.astype(int)}
-    return plate("linearity", caption, figure, table)
+    return figure, table
 
 
-@own_style()
-def dark_current_plate(sheet: DataSheet) -> Plate:
+@figure(
+    "dark_current",
+    "Dark current: the slopes of mean and variance, which agree if only dark charge adds noise; and against temperature.",
+)
+def dark_current_plate(sheet: DataSheet) -> Drawing:
     """Mean and variance of dark frames against integration time, and dark current against temperature."""
     dark, k = sheet.dark_series, sheet.transfer.gain_dn_per_e.value
     (from_mean, from_variance), (temperatures, warm) = sheet.dark_currents, sheet.warm_currents
@@ -160,11 +150,9 @@ def dark_current_plate(sheet: DataSheet) -> Plate:
         panels[2].set_yscale("log")
         plain_powers(panels[2].yaxis)
         finish(panels[2], "temperature (K)", "dark current (e⁻/s)")
-    caption = "Dark current: slopes of the dark mean and variance over time. They agree if only dark charge adds noise."
-    caption += " Right: dark current against temperature." if warm else ""
     table = {"integration_s": dark.at, "mean_dn": dark.mean_dn, "variance_dn2": dark.variance_dn2, "temperature_k": temperatures,
              "dark_current_e_per_s": np.array([current.value for current in warm])}  # fmt: skip
-    return plate("dark_current", caption, figure, table)
+    return figure, table
 
 
 def deviations(sheet: DataSheet) -> list[tuple[str, str, Array]]:
@@ -178,8 +166,8 @@ def deviations(sheet: DataSheet) -> list[tuple[str, str, Array]]:
     ]
 
 
-@own_style()
-def histogram_plate(sheet: DataSheet) -> Plate:
+@figure("histograms", "Histograms of the mean dark image and mean response. Pixels outside the normal distribution are defective.")
+def histogram_plate(sheet: DataSheet) -> Drawing:
     """Logarithmic histograms of the stacks' mean images, with normal distributions of the same spread."""
     figure = new_figure(8.6, 3.6)
     table: dict[str, Array] = {}
@@ -195,10 +183,7 @@ def histogram_plate(sheet: DataSheet) -> Plate:
         finish(axes, label, "pixels per bin")
         short = name.lower()
         table |= {f"{short}_bin": centres, f"{short}_pixels": counts, f"{short}_normal": normal}
-    caption = (
-        "Logarithmic histograms of the mean dark image and mean response. Pixels outside the normal distribution are defective."
-    )
-    return plate("histograms", caption, figure, table)
+    return figure, table
 
 
 def draw_many(axes: Axes, x: Array, y: Array, look: Look, size: int, **more: Any) -> None:
@@ -212,8 +197,11 @@ def spectrogram(map_: Array, axis: int) -> tuple[Array, Array]:
     return np.asarray(np.fft.rfftfreq(map_.shape[axis]), float), np.asarray(power.mean(axis=1 - axis))
 
 
-@own_style()
-def spectrogram_plate(sheet: DataSheet) -> Plate:
+@figure(
+    "spectrograms",
+    "Spectrograms along rows (horizontal) and columns (vertical). White noise is flat; column offsets raise the horizontal one.",
+)
+def spectrogram_plate(sheet: DataSheet) -> Drawing:
     """Square roots of the power spectra along rows and columns."""
     figure = new_figure(8.6, 3.6)
     table: dict[str, Array] = {}
@@ -225,15 +213,11 @@ def spectrogram_plate(sheet: DataSheet) -> Plate:
         axes.axhline(float(map_.std()), color="0.5", lw=0.8, ls=":")
         axes.set_ylim(0.0, 1.35 * axes.get_ylim()[1])
         finish(axes, "frequency (periods per pixel)", "standard deviation (" + ("e⁻)" if name == "DSNU" else "%)"))
-    caption = (
-        "Spectrograms of the mean dark image and the mean response along rows (horizontal) and columns (vertical). White noise is "
-        "flat (dotted: standard deviation of all pixels). Column offsets raise the horizontal spectrogram."
-    )
-    return plate("spectrograms", caption, figure, table)
+    return figure, table
 
 
-@own_style()
-def profile_plate(sheet: DataSheet) -> Plate:
+@figure("profiles", "Profiles: means of columns and rows minus the overall mean.")
+def profile_plate(sheet: DataSheet) -> Drawing:
     """Means of the columns and of the rows of the maps."""
     figure = new_figure(8.6, 3.6)
     table: dict[str, Array] = {}
@@ -243,10 +227,7 @@ def profile_plate(sheet: DataSheet) -> Plate:
             draw_many(axes, np.arange(mean.size), mean, look, mean.size, label=f"{name}, means of {lines}", zorder=2 + axis)
             table[f"{name.lower()}_{lines}"] = mean
         finish(axes, "column or row", label.replace(", deviation from the mean", ""))
-    caption = (
-        f"Profiles: means of columns and rows minus the overall mean. The black level is at least {BLACK_SIGMAS:g} σ of the dark."
-    )
-    return plate("profiles", caption, figure, table)
+    return figure, table
 
 
 ROUNDING = 1e-8  # smaller values are roundings of 0 in every unit of the sheet, except dark currents at very low temperature
@@ -262,21 +243,26 @@ def off(entry: Entry) -> str:
 
 
 def described(sheet: DataSheet) -> Answer:
-    """Return the pixel and the measurement."""
-    e, p, readout = sheet.experiment, sheet.experiment.physics, sheet.experiment.readout
-    rows, columns = e.sensor.shape
-    exposed = f"{1e3 * e.integration_s:.4g} ms" + (f", {readout.gain_db:g} dB" if readout.gain_db else "")
-    filters = f", filters {p.layout}" if p.layout else ""
-    of = f" on channel {p.channel}" if p.channel else ""
-    pixel = f"{label_of(p.technology.name)}, {p.pitch_um:g} µm pixels{filters}, {readout.adc.bits} bits"
-    return headline([
-        f"{pixel}, black level {readout.adc.black_level_dn:g} DN, {p.pixel.temperature_k:g} K",
-        f"{columns} × {rows} pixels, {e.wavelength_nm:g} nm{of}, {exposed}",
-        p.pixel.assumption or "",
-    ])  # fmt: skip
+    """Return the most important values, and the pixel and the measurement that they are of."""
+    experiment, physics, transfer = sheet.experiment, sheet.experiment.physics, sheet.transfer
+    readout = experiment.readout
+    filters = f", filters {physics.layout}" if physics.layout else ""
+    channel = f" on channel {physics.channel}" if physics.channel else ""
+    gain = f", {readout.gain_db:g} dB" if readout.gain_db else ""
+    rows, columns = experiment.sensor.shape
+    return headline(
+        [
+            f"{label_of(physics.technology.name)}, {physics.pitch_um:g} µm pixels{filters}, {readout.adc.bits} bits: "
+            f"K {transfer.gain_dn_per_e.value:.3g} DN/e-, η {100 * transfer.efficiency.value:.3g} %, "
+            f"σ_d {transfer.dark_noise_e.value:.3g} e-, μ_e.sat {rounded(transfer.saturation_e.value)} e-",
+            f"black level {readout.adc.black_level_dn:g} DN, {physics.pixel.temperature_k:g} K, {columns} × {rows} pixels, "
+            f"{experiment.wavelength_nm:g} nm{channel}, {1e3 * experiment.integration_s:.4g} ms{gain}",
+            physics.pixel.assumption or "",
+        ]
+    )
 
 
-COLUMNS = ("quantity", "symbol", "measured", "standard error", "true", "unit", "deviation", "source of the true value")
+COLUMNS = ("quantity", "symbol", "measured", "standard error", "true", "unit", "deviation", "limits")
 WORDS = (1, 5, 7)  # columns
 
 
@@ -286,38 +272,124 @@ def entry_rows(sheet: DataSheet) -> list[tuple[str, ...]]:
     for standard, entries in groupby(sheet.entries, attrgetter("standard")):
         rows.append((standard,))
         for entry in entries:
-            numbers = (number(value, digits, ROUNDING) for value, digits in
-                       ((entry.measured, 5), (entry.standard_error, 2), (entry.true, 5)))  # fmt: skip
-            source = f"{entry.true_is} ({entry.note})" if entry.note else entry.true_is
-            rows.append((entry.quantity, entry.symbol, *numbers, entry.unit, off(entry), source))
+            measured, standard_error, true = (
+                number(value, digits, ROUNDING)
+                for value, digits in ((entry.measured, 5), (entry.standard_error, 2), (entry.true, 5))
+            )
+            rows.append((entry.quantity, entry.symbol, measured, standard_error, true, entry.unit, off(entry), entry.note))
     return rows
 
 
+def datasheet_notes(sheet: DataSheet) -> list[Note]:
+    """Return notes for the reader: a raised black level, a quantisation limit, a non-linear conversion."""
+    experiment = sheet.experiment
+    pixel, physics, readout = experiment.pixel, experiment.physics, experiment.readout
+    notes = []
+    if pixel.black_level_dn != experiment.asked_black_dn:
+        span = "full well" if pixel.adc_full_scale_e is None else "full scale"
+        left = f"The {span} spans the remaining codes, which reduces K."
+        if readout.adc.gain_e_per_dn is not None:
+            left = f"The ADC's range is {readout.adc_range_e:.4g} e- above it."
+        notes.append(
+            f"black level raised from {experiment.asked_black_dn:g} to {pixel.black_level_dn:g} DN, 6 σ of the dark noise, so that "
+            f"the dark frames are not clipped at 0 DN. {left}"
+        )
+    if readout.adc_range_e < readout.full_well_e:
+        notes.append(
+            f"the ADC clips before the well: its top code is at {readout.adc_range_e:.4g} e-, the full well at "
+            f"{readout.full_well_e:.4g} e-. The saturation capacity is that of the ADC."
+        )
+    if sheet.transfer.limited:
+        notes.append(
+            f"quantisation-limited: σ²_y.dark = {sheet.dark.variance_dn2:.3g} DN² is below 0.24 DN². σ_d is an upper bound, "
+            "DR_ISO says nothing of the sensor, and K and all values derived from it are wrong by some per cent, because the "
+            f"quantisation noise is no longer 1/12 DN². Use more than {pixel.bits} bits (pixel.bits)."
+        )
+    if physics.layout is not None:
+        notes.append(
+            f"colour filters {physics.layout}: EMVA 1288, ISO 15739 and ISO 12232 take each channel for itself. Values without "
+            f"the name of a channel are those of {physics.channel}, in light of {experiment.wavelength_nm:g} nm; gain, dark noise "
+            "and dark current are those of all channels."
+        )
+    if readout.bin_side > 1:
+        notes.append(
+            f"binning: a pixel of this sheet is the sum of {readout.bin_side} × {readout.bin_side} pixels of "
+            f"{physics.pitch_um:g} µm."
+        )
+    if isinstance(sheet.colour, str):
+        notes.append(f"no colour matrix: {sheet.colour}")
+    if sheet.full_in_the_dark:
+        notes.append(
+            f"hot pixels: {100 * sheet.full_in_the_dark:.2g} % of the pixels are full in the last exposure of the dark series, "
+            "so that the measured dark current is too low."
+        )
+    if pixel.conversion != "linear":
+        notes.append(
+            "conversion = 'junction': the gain changes as the well fills, so the linear model of EMVA 1288 does not hold. "
+            "The measured K, R and η are means over the fitted range; the true values refer to the charge."
+        )
+    return [Note("data_sheet", words=text) for text in notes]
+
+
+def datasheet_data(sheet: DataSheet, notes: Sequence[Note]) -> dict[str, Any]:
+    """Return summary.json."""
+    experiment = sheet.experiment
+    return {
+        "pixel": experiment.pixel.model_dump(),
+        "assumption": experiment.physics.pixel.assumption,
+        "wavelength_nm": experiment.wavelength_nm,
+        "integration_s": experiment.integration_s,
+        "gain_db": experiment.readout.gain_db,
+        "shape": list(experiment.sensor.shape),
+        "exposures": experiment.photons.size,
+        "stack_frames": experiment.stack_frames,
+        "seed": experiment.seed,
+        "black_level_asked_dn": experiment.asked_black_dn,
+        "quantisation_limited": sheet.transfer.limited,
+        "notes": [note.as_dict() for note in notes],
+        "entries": [entry.as_dict() for entry in sheet.entries],
+    }
+
+
+def datasheet_csv(sheet: DataSheet) -> str:
+    """Return a row for each line of the data sheet as CSV."""
+    return rows_csv([entry.as_dict() for entry in sheet.entries])
+
+
 def datasheet_document(sheet: DataSheet) -> Document:
-    """Return the answer of `pixsim datasheet`: what was measured, and the true values."""
-    pixel = sheet.experiment.pixel
+    """Return the page of a data sheet: the photon transfer, the notes, the values beside the true ones, further figures."""
+    notes = datasheet_notes(sheet)
     values = DocumentTable("measured and true values", COLUMNS, entry_rows(sheet), words=WORDS, stacks=True, wide=1)
-    makers = (
-        *(photon_transfer_plate, responsivity_plate, snr_plate, linearity_plate, dark_current_plate),
-        *(histogram_plate, spectrogram_plate, profile_plate),
-    )
-    plots = [Plot(partial(make, sheet)) for make in makers]
-    stated = {key: setting_value(value) for key, value in pixel.model_dump(exclude_none=True).items()}
+    transfer, *others = (Plot(partial(draw, sheet)) for draw in PLATES)
+    pixel = sheet.experiment.pixel.model_dump(exclude_defaults=True, exclude_none=True)
+    settings = pairs("pixel", {name: setting_value(value) for name, value in pixel.items()})
     return Document(
         command="datasheet",
         kind="data sheet of one simulated sensor",
-        title=f"Data sheet of {pixel.pitch_um:g} µm pixels",
-        data=sheet.as_dict(),
+        title=f"Data sheet of {sheet.experiment.pixel.pitch_um:g} µm pixels",
+        data=datasheet_data(sheet, notes),
         answers=(described(sheet),),
-        lead=[Note("data_sheet", words=text) for text in sheet.notes],
-        about=(
-            "Measured on simulated frames of one device, as in a laboratory: the estimators use the frames only, not the pixel's "
-            "parameters. Each value has its standard error, the true value, and the source of the true value.",
-        ),
+        lead=(transfer, *notes),
         sections=(
             Section("values", "Measured and true values", (values,), brief=True),
-            Section("figures", "Figures", plots),
-            Section("made", "How it was made", (made_with(pairs("pixel", stated)),)),
+            Section("figures", "Figures", others),
+            Section(
+                "made",
+                "How it was made",
+                (
+                    "Measured on frames of one simulated device: the estimators do not know the pixel's parameters. datasheet.csv "
+                    "has the source of each true value.",
+                    made_with(settings),
+                ),
+                folded=True,
+            ),
         ),
-        files={"datasheet.csv": sheet.to_csv()},
+        files={"datasheet.csv": datasheet_csv(sheet)},
     )
+
+
+PLATES = (
+    *(photon_transfer_plate, responsivity_plate, snr_plate, linearity_plate),
+    *(dark_current_plate, histogram_plate, spectrogram_plate, profile_plate),
+)
+PRESENTER = Presenter(document=datasheet_document, figure=photon_transfer_plate, csv=datasheet_csv)
