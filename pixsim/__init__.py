@@ -110,10 +110,12 @@ _MODULES = {
 
 # Type of results -> the module that plots, writes and shows them.
 PRESENTERS = {
+    "Curve": "report.curve",
     "DataSheet": "report.datasheet",
     "EdgeResponse": "report.sfr",
     "RunResult": "report.run",
     "Score": "report.score",
+    "StudyResult": "report.axes",
     "Table": "report.table",
 }
 

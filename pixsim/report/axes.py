@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from typing import Any
@@ -12,22 +12,25 @@ import numpy as np
 from pixsim.base.arrays import Array
 from pixsim.base.tables import Column, columns_of, table_csv
 from pixsim.base.toml import SETTINGS_FILE
+from pixsim.report.curve import curve_data, delta_e_against_pitch, optima_table, optimum_line
 from pixsim.report.maps import alone_groups, alone_plate, axis_plates, case_columns, optimum_columns, plate_names
 from pixsim.report.noise_budget import NAME, budgets_section
-from pixsim.report.regret import REGRETS, regrets_plate
-from pixsim.report.study import agrees, document_of, plot_of, report_files, study_page, with_files_of_study
-from pixsim.report.wording import DELTA_E, rendered_words
+from pixsim.report.regret import REGRETS, condition_regrets_data, regrets_plate, regrets_tables
+from pixsim.report.study import agrees, document_of, plot_of, report_files, study_document, study_page, with_files_of_study
+from pixsim.report.study_facts import study_notes
+from pixsim.report.wording import DELTA_E, film_words, rendered_words
 from pixsim.show.document import Block, Document, DocumentTable, Fact, Link, Listed, Plot, Section, made_with, pairs
 from pixsim.show.pages import Figures, Plate, figure_files
-from pixsim.studies.claims import verdicts
-from pixsim.studies.design import Case, cases_of
+from pixsim.show.presenter import PageRequest, Presenter
+from pixsim.studies.claims import Verdict, verdicts
+from pixsim.studies.design import BASE, Case, cases_of
 from pixsim.studies.engine import Workers
 from pixsim.studies.film_error import FilmError
 from pixsim.studies.merit import noise_budgets
-from pixsim.studies.regret import Regrets, regrets_summary
+from pixsim.studies.regret import Regrets, condition_regrets
 from pixsim.studies.result import CasesResult, StudyResult
-from pixsim.studies.sentences import film_words, optima_table, optimum_line, regrets_tables
 from pixsim.studies.settings import Study
+from pixsim.viewer.display import white_light
 
 REGRETS_FILE = "regrets.csv"
 SHOWN_CASES = 4  # with a report of their own
@@ -66,7 +69,7 @@ def axes_document(result: CasesResult, regrets: Sequence[Regrets], warned: Colle
     regrets : `condition_regrets` of the study
     warned : notes that a reader of the terminal has seen
     """
-    data = axes_summary(result, regrets) | {"counts": asdict(result.counts)}
+    data = cases_data(result, regrets) | {"counts": asdict(result.counts)}
     facts = map(Fact, [*alone_words(result), *film_of_cases(result)])
     return replace(document_of(result, data, regrets, [*facts], warned), kind="study of several cases")
 
@@ -89,10 +92,28 @@ def alone_words(result: CasesResult) -> list[str]:
     return lines
 
 
-def axes_summary(result: CasesResult, regrets: Sequence[Regrets]) -> dict[str, Any]:
+def cases_data(result: CasesResult, regrets: Sequence[Regrets]) -> dict[str, Any]:
     """Return the result as in summary.json."""
-    more = {"regrets": [regrets_summary(found) for found in regrets], "claims": [each.as_dict() for each in verdicts(result)]}
-    return result.as_dict() | {name: values for name, values in more.items() if values}
+    cases: list[dict[str, Any]] = []
+    for part, findings in zip(result.parts, result.findings or [()] * len(result.parts), strict=True):
+        first = part.curves[0]
+        labels = {"at": first.at, "condition": first.condition, "alone": first.alone}
+        labels |= {"film": part.film and part.film.as_dict(), "agrees": {row.statement: row.agrees for row in findings}}
+        light = {"irradiance": part.irradiance.header, "white_spectrum": white_light(part.irradiance)[1]}
+        cases.append({name: value for name, value in labels.items() if value} | light)
+    further = {
+        "left_out": list(result.left_out),
+        "regrets": [condition_regrets_data(found) for found in regrets],
+        "claims": [verdict.as_dict() for verdict in verdicts(result)],
+    }
+    return {
+        "study": result.study.model_dump(mode="json"),
+        "chosen": result.view,
+        "notes": [note.as_dict() for note in study_notes(result)],
+        "cases": cases,
+        "curves": [curve_data(curve) | {"dark": result.part_of(curve).dark(curve)} for curve in result.curves],
+        **{name: values for name, values in further.items() if values},
+    }
 
 
 def film_of_cases(result: CasesResult) -> list[str]:
@@ -161,7 +182,7 @@ def axes_page(
     all_regrets = (Link("The same with all digits (CSV)", REGRETS_FILE),)
     return replace(
         axes_document(result, regrets),
-        data=axes_summary(result, regrets),
+        data=cases_data(result, regrets),
         about=[_about(result, regrets)],
         sections=(
             Section("regrets", "Regrets of the conditions", [*tables, all_regrets, *figures] if regrets else ()),
@@ -199,8 +220,52 @@ def _claims(result: CasesResult) -> list[Block]:
     rows = []
     for each in verdicts(result):
         found, turned = each.finding, len(each.turned_by)
-        changed = f"{turned} of {result.counts.cases - 1}{f': {each.words}' if turned else ''}"
+        changed = f"{turned} of {result.counts.cases - 1}{f': {verdict_words(each)}' if turned else ''}"
         rows.append((found.statement, found.given, found.found, agrees(found.agrees), changed))
     head = ("statement of the paper", "paper", "first case", "agrees", "cases that change the verdict")
     table = DocumentTable("the paper's statements", head, rows, words=None, stacks=True)
     return [table] if rows else []
+
+
+def verdict_words(verdict: Verdict) -> str:
+    """Return the cases with the opposite verdict as text."""
+    return turned_words(
+        (curve.alone, curve.at[curve.alone], curve.condition) if curve.alone else ("", curve.words, "")
+        for curve in verdict.turned_by
+    )
+
+
+def turned_words(cases: Iterable[tuple[str, float | int | str, str]]) -> str:
+    """Return cases as text, the values of each axis that is moved alone together: bits (8, 12); f/8, night.
+
+    cases : (the axis that is moved alone, or empty; its value, or the words of the case; the condition) of each
+    """
+    groups: dict[str, list[str]] = {}
+    for axis, value, condition in cases:
+        text = value if isinstance(value, str) else f"{value:.4g}"
+        groups.setdefault(axis, []).append(", ".join(filter(None, (text, condition))) or BASE)
+    return "; ".join(f"{axis} ({', '.join(values)})" if axis else "; ".join(values) for axis, values in groups.items()) or "none"
+
+
+def result_document(result: StudyResult) -> Document:
+    """Return the answer of any study, without the figures and pictures of its page."""
+    if isinstance(result, CasesResult):
+        return axes_document(result, condition_regrets(result.study, result.curves))
+    return study_document(result)
+
+
+def result_page(result: StudyResult, request: PageRequest) -> Document:
+    """Return the document of any study with its page and all other files."""
+    regrets = condition_regrets(result.study, result.curves)
+    return study_report(result, regrets, dict(request.seconds), figures=request.figures)
+
+
+def result_csv(result: StudyResult) -> str:
+    """Return a row for each evaluation as CSV."""
+    assert result.table is not None
+    return result.table.to_csv()
+
+
+PRESENTER = Presenter(
+    document=result_document, figure=lambda result: delta_e_against_pitch(result.curves), csv=result_csv, page=result_page
+)

@@ -20,13 +20,14 @@ from pixsim.base.records import content_hash
 from pixsim.base.tables import Column
 from pixsim.base.units import unit_of
 from pixsim.optics.camera import Camera
+from pixsim.report.curve import closed_range, fresnel_column, range_columns
 from pixsim.sensor.labels import labels_of
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, Look, literal, new_figure, plain_powers
 from pixsim.show.pages import Drawing, Plate, figure
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY
 from pixsim.studies.curve import Curve
 from pixsim.studies.design import BASE, cutoff_pitch_um, of_technology
-from pixsim.studies.result import CasesResult, StudyResult, closed_range, fresnel_column, range_columns
+from pixsim.studies.result import CasesResult, StudyResult
 from pixsim.studies.settings import Axis, Study, setting_path
 
 if TYPE_CHECKING:

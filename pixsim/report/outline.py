@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 from pixsim.base.digits import rounded
 from pixsim.optics.camera import Camera, CameraOptions
+from pixsim.report.wording import lens_words, view_words
 from pixsim.sensor.labels import label_of
 from pixsim.show.document import Block, Document, DocumentTable
 from pixsim.studies.dry_run import Cost, planned_run, planned_study
 from pixsim.studies.film_error import TOLERATED_SHARE
 from pixsim.studies.merit import columns_on
-from pixsim.studies.sentences import lens_words, view_words
 from pixsim.studies.settings import Study
 from pixsim.studies.uncertainty import MOST_EVALUATIONS
 from pixsim.viewer.display_options import Display

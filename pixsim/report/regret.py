@@ -1,17 +1,20 @@
-"""Figures of metrics and conditions against pixel size: their regrets, and each metric in its own unit."""
+"""Regrets of metrics and conditions, as tables, figures and data; and each metric against pixel size in its own unit."""
 
 from __future__ import annotations
 
 from itertools import cycle
+from typing import Any
 
 import numpy as np
 
 from pixsim.base.arrays import Array
+from pixsim.base.digits import interval, rounded
+from pixsim.show.document import DocumentTable
 from pixsim.show.figures import LOOKS, literal, new_figure
 from pixsim.show.pages import Drawing, figure
 from pixsim.studies.curve import Curve
 from pixsim.studies.paired import mean_interval
-from pixsim.studies.regret import Regrets
+from pixsim.studies.regret import Criterion, Regrets
 
 REGRETS = "regrets"  # name of the figure
 MAX_REGRET_PERCENT = 100.0  # that is drawn
@@ -87,3 +90,55 @@ def _finite_interval(values: Array) -> tuple[float, float, float]:
     """Return the mean of the finite values between the ends of its 95 % interval; NaN of fewer than two."""
     finite = values[np.isfinite(values)]
     return mean_interval(finite) if finite.size > 1 else (np.nan, np.nan, np.nan)
+
+
+def regrets_tables(regrets: Regrets) -> tuple[DocumentTable, DocumentTable]:
+    """Return the best sizes of the numbered criteria, and their regrets at the best size of each number."""
+    head = (f"{regrets.kind}\n", "best size\n(µm)", "95 %\ninterval", "between\nsizes (%)", "value\n")
+    matrix_head = ("regret in % at the best size of", *(str(number) for number, _ in enumerate(regrets.criteria, 1)))
+
+    rows, matrix_rows = [], []
+    for place, (criterion, of_criterion) in enumerate(zip(regrets.criteria, regrets.matrix.tolist(), strict=True)):
+        name = f"{place + 1} {criterion.name}"
+        best = criterion.optimum
+        between = f"{100 * best.between_sizes_share:.0f}"
+        rows.append((name, best_size_words(criterion), interval(best.interval_um), between, criterion.metric.shown(best.value)))
+        matrix_rows.append((name, *("–" if column == place else percent(regret) for column, regret in enumerate(of_criterion))))
+
+    sizes = DocumentTable(f"best sizes of {regrets.label}", head, rows, f"{regrets.label}: best sizes", words=(0, 1, 2))
+    return sizes, DocumentTable(f"regrets of {regrets.label}", matrix_head, matrix_rows, f"{regrets.label}: regrets")
+
+
+def percent(regret: float) -> str:
+    """Return a regret in per cent, to two digits.
+
+    >>> percent(0.0123), percent(float("inf"))
+    ('1.2', '∞')
+    """
+    return rounded(100 * regret) if np.isfinite(regret) else "∞"
+
+
+def best_size_words(criterion: Criterion) -> str:
+    """Return the best size in µm, behind ≤ at the smallest and ≥ at the largest of the sizes tried."""
+    best = criterion.optimum
+    end = "≤ " if best.pitch_um < criterion.pitch_um.mean() else "≥ "
+    return f"{'' if best.inside else end}{best.pitch_um:.2f}"
+
+
+def regrets_data(regrets: Regrets) -> dict[str, Any]:
+    """Return names and regrets for JSON; None stands for infinity."""
+    rows = [[value if np.isfinite(value) else None for value in row] for row in regrets.matrix.tolist()]
+    return {"names": [criterion.name for criterion in regrets.criteria], "regret": rows}
+
+
+def condition_regrets_data(regrets: Regrets) -> dict[str, Any]:
+    """Return the regrets of conditions as in summary.json."""
+    criteria = regrets.criteria
+    return {
+        "technology": regrets.technology,
+        "metric": criteria[0].metric.name,
+        **({"at": regrets.at} if regrets.at else {}),
+        "weights": [criterion.weight for criterion in criteria],
+        "optima": [criterion.optimum.of_metric() for criterion in criteria],
+        **regrets_data(regrets),
+    }

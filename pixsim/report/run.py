@@ -21,11 +21,21 @@ from pixsim.base.toml import SETTINGS_FILE
 from pixsim.light.exr import reduced_to_fit, write_channels, write_exr
 from pixsim.optics.lens_defocus import depth_of_field_m, finite_or_none
 from pixsim.report.kept import digest_of_content
+from pixsim.report.neq import NEQ, neq_against_frequency
 from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.pictures import crops, picture_axes, size_words
 from pixsim.report.score import score_plate
 from pixsim.report.settings import scene_rows, settings_blocks, settings_tables
-from pixsim.report.wording import DELTA_E as DELTA_E_WORDS, rendered_words
+from pixsim.report.wording import (
+    DELTA_E as DELTA_E_WORDS,
+    FILLED,
+    film_words,
+    lens_words,
+    rendered_words,
+    thin_lens_words,
+    unconverged,
+    view_words,
+)
 from pixsim.scene.convergence import without_clock
 from pixsim.scene.packaged import packaged_scenes
 from pixsim.sensor.labels import label_of
@@ -59,9 +69,8 @@ from pixsim.show.pictures import Picture, delta_e_png, display_codes, factor_for
 from pixsim.show.presenter import PageRequest, Presenter
 from pixsim.show.render import PAGE
 from pixsim.studies.files import scene_table, settings_text
-from pixsim.studies.merit import NEQ, LightLevel, detail_terms, extent, neq_against_frequency, quanta_of_run
+from pixsim.studies.merit import LightLevel, detail_terms, extent, quanta_of_run
 from pixsim.studies.run import LitRun, RunResult, Threshold
-from pixsim.studies.sentences import FILLED, film_words, lens_words, thin_lens_words, unconverged, view_words
 from pixsim.studies.table import Store
 from pixsim.viewer.causes import SATURATED_SHOWN
 from pixsim.viewer.dark_clip import clip_note, clips_dark

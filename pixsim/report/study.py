@@ -10,16 +10,27 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from pixsim.base.arrays import Array
 from pixsim.base.toml import SETTINGS_FILE
+from pixsim.report.curve import (
+    closed_range,
+    curve_data,
+    curve_table,
+    delta_e_against_pitch,
+    numbers_table,
+    optima_table,
+    optimum_parts,
+    range_columns,
+)
+from pixsim.report.neq import NEQ, neq_against_frequency
 from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.paper import PAPER_PLATES, map_plates, numbered, scene_plates
 from pixsim.report.pictures import size_words
 from pixsim.report.regret import REGRETS, metrics_against_pitch, regrets_plate
 from pixsim.report.settings import record_rows, scene_rows, settings_table, settings_tables
+from pixsim.report.study_facts import study_facts, study_notes
 from pixsim.report.uncertainty import uncertainty_blocks, uncertainty_document
 from pixsim.report.views import SENSORS_SHOWN, Views, best_place, map_end, study_pictures, study_views
-from pixsim.report.wording import DELTA_E, blur_words, rendered_words, weighted_answer
+from pixsim.report.wording import DELTA_E, blur_words, film_words, rendered_words, weighted_answer
 from pixsim.sensor.labels import file_label, labels_of
 from pixsim.show.document import (
     Block,
@@ -43,25 +54,23 @@ from pixsim.show.pictures import scale
 from pixsim.show.render import lines
 from pixsim.show.sentences import capital
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, findings
-from pixsim.studies.curve import Curve, shown_mean_and_ci95
+from pixsim.studies.curve import Curve
 from pixsim.studies.design import imaging_of
 from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.merit import (
-    NEQ,
     detail_frequency_lp_per_mm,
     longest_path_um,
     mpe30_lx_s,
     mtf50_cy_per_mm,
-    neq_against_frequency,
     quanta_of_study,
     shown_mtf,
     study_mtf_terms,
     system_mtf,
 )
 from pixsim.studies.regret import Regrets, metric_regrets
-from pixsim.studies.result import StudyResult, closed_range, curve_table, delta_e_against_pitch, range_columns
-from pixsim.studies.sentences import film_words, is_partly_filled, optima_table, optimum_parts, study_facts
+from pixsim.studies.result import StudyResult
 from pixsim.studies.settings import Study
+from pixsim.viewer.display import white_light
 
 if TYPE_CHECKING:
     from pixsim.viewer.noise_budget import NoiseBudget
@@ -93,8 +102,9 @@ def other_statistics(curve: Curve) -> Drawing:
 )
 def optimum_against_technology(result: StudyResult) -> Drawing:
     """Plot the optima with their intervals, and the line of an optimum proportional to the feature size."""
-    curves = sorted(result.curves, key=lambda curve: curve.feature_size_um)
-    feature_um = np.array([curve.feature_size_um for curve in curves])
+    sizes_um = {curve.label: curve.feature_size_um for curve in result.curves if curve.feature_size_um is not None}
+    curves = sorted((curve for curve in result.curves if curve.label in sizes_um), key=lambda curve: sizes_um[curve.label])
+    feature_um = np.array([sizes_um[curve.label] for curve in curves])
     size_um = np.array([curve.optimum.pitch_um for curve in curves])
     low_um, high_um = np.array([closed_range(curve.optimum.interval_um, curve) for curve in curves]).T
     figure = new_figure(5.4, 4.0)
@@ -209,7 +219,7 @@ def draw_section(
 
 
 def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
-    plates = [delta_e_against_pitch(result, [first])]
+    plates = [delta_e_against_pitch([first])]
     if regrets := metric_regrets(first):
         plates.append(regrets_plate(regrets, first.pitch_um))
     if len(first.metrics) > 1:
@@ -217,7 +227,7 @@ def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
     if quanta := quanta_of_study(result):
         plates.append(neq_against_frequency(quanta))
     if len(result.curves) > 1:
-        plates += [delta_e_against_pitch(result, result.curves, "delta_e_against_pitch_all")]
+        plates += [delta_e_against_pitch(result.curves).named("delta_e_against_pitch_all")]
         processes = not any(curve.data_sheet for curve in result.curves)
         if processes and len({curve.feature_size_um for curve in result.curves}) > 1:
             plates.append(optimum_against_technology(result))
@@ -259,7 +269,7 @@ def study_document(result: StudyResult, warned: Collection[str] = ()) -> Documen
     warned : notes that a reader of the terminal has seen
     """
     film = [Fact(film_words(result.film.as_dict()))] if result.film else []
-    return document_of(result, result.as_dict(), [], film, warned)
+    return document_of(result, study_data(result), [], film, warned)
 
 
 def document_of(
@@ -279,15 +289,32 @@ def document_of(
     more = [Fact(f"and {left} more: optima.csv")] if left > 0 else []
     lead = [*more, *study_facts(result), *facts, *uncertainty_blocks(result.uncertainty)]
     known = {*warned, *(line for block in lead for line in lines(block))}
+    title = result.study.title or result.study.name
+    evaluations = sum(int(curve.sensors.sum()) for curve in result.curves)
+    made = f"{title}: {result.study.scene.file}, {evaluations} evaluations, seed {result.study.seed}"
+    plot = Plot(lambda: delta_e_against_pitch(result.curves))
     return Document(
         command="study",
         kind="study of pixel sizes",
-        title=result.study.title or result.study.name,
+        title=title,
+        cell=(*answers[:ANSWERS_SHOWN], plot, optima_table(result.curves), made),
         data=data | ({"uncertainty": [each.as_dict() for each in result.uncertainty]} if result.uncertainty else {}),
         answers=answers[:ANSWERS_SHOWN],
-        lead=(*lead, *(note for note in result.notes if note not in known)),
+        lead=(*lead, *(note for note in study_notes(result) if note not in known)),
         sections=[],
     )
+
+
+def study_data(result: StudyResult) -> dict[str, Any]:
+    """Return a study without axes and conditions as in summary.json."""
+    entries = {"film": result.film and result.film.as_dict(), "chosen": result.view, "window_mm": result.study.window_mm}
+    return {name: value for name, value in entries.items() if value} | {
+        "study": result.study.model_dump(mode="json"),
+        "white_spectrum": white_light(result.irradiance)[1],
+        "irradiance": result.irradiance.header,
+        "notes": [note.as_dict() for note in study_notes(result)],
+        "curves": [curve_data(curve) | {"dark": result.dark(curve)} for curve in result.curves],
+    }
 
 
 EACH_SIZE = (
@@ -331,7 +358,7 @@ def study_page(
     }
     return replace(
         study_document(result),
-        data=result.as_dict() | ({"paper": [asdict(row) for row in rows]} if rows else {}),
+        data=study_data(result) | ({"paper": [asdict(row) for row in rows]} if rows else {}),
         about=_about(result),
         sections=(
             Section("see", "Pictures", _pictures(result, views)),
@@ -413,35 +440,6 @@ def _paper(rows: Sequence[Finding]) -> list[Block]:
 def agrees(whether: bool) -> tuple[VerdictText]:
     """Return whether a result agrees with a statement, for a cell of a table."""
     return (VerdictText("yes" if whether else "does not agree", whether),)
-
-
-def _metric_columns(curve: Curve) -> Iterator[tuple[str, list[str]]]:
-    """Yield a column for each metric: of the first one the mean with its interval, of ΔE to four digits."""
-    first, *others = curve.metrics
-    form = ".4f" if curve.judged_by_delta_e else ".4g"
-    mean, ci95 = shown_mean_and_ci95(curve)
-    yield first.words, _numbers(mean, form)
-    yield "± 95 %", _numbers(ci95, form)
-    for metric in others:
-        title = f"{metric.words} ({metric.unit})" if metric.unit else metric.words
-        yield title, _numbers(curve.mean(metric.columns[0]), ".4g")
-
-
-def _numbers(values: Array, form: str) -> list[str]:
-    """Return numbers as text; a dash where there is none."""
-    return [f"{value:{form}}" if np.isfinite(value) else "–" for value in values]
-
-
-def numbers_table(curve: Curve) -> DocumentTable:
-    """Return the mean of each metric for each pixel size."""
-    data, partly = curve.as_dict(), is_partly_filled(curve)
-    columns = {
-        "pixel size (µm)": [f"{value:.3f}" for value in data["pitch_um"]],
-        **({"fill factor (%)": [f"{100 * value:.1f}" for value in data["fill_factor"]]} if partly else {}),
-        "sensors": [str(value) for value in data["sensors"]],
-        **dict(_metric_columns(curve)),
-    }
-    return DocumentTable(f"numbers of {curve.label}", columns, zip(*columns.values(), strict=True))
 
 
 def _assumptions(result: StudyResult) -> Iterator[Block]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -14,14 +14,14 @@ import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike
 
 from pixsim.base.arrays import Array
+from pixsim.base.digits import interval
 from pixsim.scene.charts import csf_contrast, csf_frequency_lp_per_mm, csf_frequency_on_sensor
 from pixsim.sensor.integration import pixels_on
 from pixsim.sensor.pixel import derive, fill_factor_law
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.technology import Technology, with_fill_factor_law
-from pixsim.studies.design import BASE, technology_of
-from pixsim.studies.sentences import interval_words
+from pixsim.studies.design import technology_of
 from pixsim.studies.settings import Study
 from pixsim.viewer.display import picture_size_um
 
@@ -226,14 +226,6 @@ class Verdict:
     finding: Finding
     turned_by: tuple[Curve, ...] = field(repr=False)
 
-    @property
-    def words(self) -> str:
-        """The cases with the opposite verdict as text."""
-        return turned_words(
-            (curve.alone, curve.at[curve.alone], curve.condition) if curve.alone else ("", curve.words, "")
-            for curve in self.turned_by
-        )
-
     def as_dict(self) -> dict[str, Any]:
         """Return the verdict as in summary.json."""
         cases = [{"at": curve.at, "condition": curve.condition, "alone": curve.alone} for curve in self.turned_by]
@@ -255,18 +247,6 @@ def verdicts(result: CasesResult) -> list[Verdict]:
         )
         for row in result.findings[0]
     ]
-
-
-def turned_words(cases: Iterable[tuple[str, float | int | str, str]]) -> str:
-    """Return cases as text, the values of each axis that is moved alone together: bits (8, 12); f/8, night.
-
-    cases : (the axis that is moved alone, or empty; its value, or the words of the case; the condition) of each
-    """
-    groups: dict[str, list[str]] = {}
-    for axis, value, condition in cases:
-        text = value if isinstance(value, str) else f"{value:.4g}"
-        groups.setdefault(axis, []).append(", ".join(filter(None, (text, condition))) or BASE)
-    return "; ".join(f"{axis} ({', '.join(values)})" if axis else "; ".join(values) for axis, values in groups.items()) or "none"
 
 
 def reference_process(study: Study) -> Technology:
@@ -292,7 +272,7 @@ def _pixel_rows(evidence: Evidence) -> Iterator[Finding]:
 def _optimum_rows(evidence: Evidence) -> Iterator[Finding]:
     curve = evidence.curves[REFERENCE_TECHNOLOGY]
     best = curve.optimum
-    size = f"{best.pitch_um:.2f} µm (95 %: {interval_words(curve)})"
+    size = f"{best.pitch_um:.2f} µm (95 %: {interval(best.interval_um)})"
     agrees = best.inside and abs(best.pitch_um - OPTIMUM_UM) <= TOLERANCE_UM
     yield Finding("Optimal pixel size at 0.35 µm", f"about {OPTIMUM_UM:g} µm", size, agrees)
     fill_factor = curve.optimum_fill_factor
@@ -344,18 +324,20 @@ SCALING = (
 
 def scaling_rows(curves: Sequence[Curve]) -> list[Finding]:
     """Return the rows of section 5, from the largest to the smallest process, by `rise`; none for a single process."""
-    curves = sorted((curve for curve in curves if not curve.data_sheet), key=lambda curve: -curve.feature_size_um)
-    if len(curves) < 2:
+    sized = [(curve.feature_size_um, curve.optimum) for curve in curves if curve.feature_size_um is not None]
+    if len(sized) < 2:
         return []
-    names = [f"{curve.feature_size_um:g}" for curve in curves]
-    optima = [curve.optimum for curve in curves]
+    sized.sort(key=lambda pair: -pair[0])
+    features_um = [feature_um for feature_um, _ in sized]
+    optima = [optimum for _, optimum in sized]
+    names = [f"{feature_um:g}" for feature_um in features_um]
     size_um = [best.pitch_um for best in optima]
     # A minimum at the end of the pitches is no optimum: neither its pitch nor its error is known.
     size_intervals = [best.interval_um if best.inside else UNKNOWN for best in optima]
-    ratio = [best.pitch_um / curve.feature_size_um for best, curve in zip(optima, curves, strict=True)]
+    ratio = [best.pitch_um / feature_um for best, feature_um in zip(optima, features_um, strict=True)]
     ratio_intervals = [
-        (low and low / curve.feature_size_um, high and high / curve.feature_size_um)
-        for (low, high), curve in zip(size_intervals, curves, strict=True)
+        (low and low / feature_um, high and high / feature_um)
+        for (low, high), feature_um in zip(size_intervals, features_um, strict=True)
     ]
     least = [best.mean_delta_e for best in optima]
     least_intervals = [best.mean_delta_e_interval if best.inside else UNKNOWN for best in optima]

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from pixsim.base.arguments import Positive, checks_arguments, checks_fields
 from pixsim.base.arrays import Array, PositiveArray
 from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.result import Result
 from pixsim.sensor.labels import file_label, label_of
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.sensor.quantities import Pitch
@@ -32,12 +32,11 @@ from pixsim.studies.optimum import (
     rise_variance,
     told_pitches,
 )
-from pixsim.studies.regret import metric_regrets
 from pixsim.studies.settings import Study
 from pixsim.studies.table import DOTS, Table
 from pixsim.viewer.develop_options import developed_words
 from pixsim.viewer.metrics import DELTA_E, Metric, columns_of_metrics, columns_with_numbers
-from pixsim.viewer.score import NOT_MEASURED, Cause, LightError
+from pixsim.viewer.score import NOT_MEASURED, Cause, LightError, converged
 
 if TYPE_CHECKING:
     from pixsim.studies.evaluate import LitCase
@@ -52,9 +51,37 @@ class DisplayOptimum:
     dots: int
     optimum: Optimum
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the optimum as in summary.json."""
-        return {"dots": self.dots, "optimum": self.optimum.as_dict()}
+
+@dataclass(frozen=True)
+class CaseLabels:
+    """Labels of the case of a curve, in a study with axes or conditions.
+
+    at, condition, alone : as of `pixsim.studies.design.Case`
+    developed : what is on of the development, as of `developed_words`
+    """
+
+    at: dict[str, float | int | str] = field(default_factory=dict)
+    condition: str = ""
+    alone: str = ""
+    developed: str = ""
+
+
+@dataclass(frozen=True)
+class CurveErrors:
+    """What makes the mean ΔE of a curve unsure, beside noise and blur.
+
+    light, light_limit : errors of the light, the film's at the best of the pitches, and what is tolerated of them
+    causes : of the mean ΔE of the best of the pitches, the largest first
+    """
+
+    light: LightError = NOT_MEASURED
+    light_limit: LightError = NOT_MEASURED
+    causes: tuple[Cause, ...] = ()
+
+    @property
+    def are_tolerated(self) -> bool:
+        """Whether the errors of the light are below their limits."""
+        return converged(self.light, self.light_limit)
 
 
 class TooFewSizesError(PixsimError):
@@ -67,58 +94,70 @@ SAME_SIZE = 1e-3  # relative: an optimum at the end of a range is there to the r
 
 @checks_fields
 @dataclass(frozen=True)
-class Curve:
-    """Mean ΔE against pitch for one technology.
+class Curve(Result):
+    """Mean ΔE against pitch for one technology, or another metric that judges first.
 
     technology : name, or path of its file
-    feature_size_um : of the process
+    feature_size_um : of the process; None for a sensor that is described by its data sheet only
     pitch_um : (pitches,) increasing
     fill_factor : (pitches,) photodiode area over pixel area
     statistics : `mean_delta_e` and the others, (pitches, sensors) each; NaN where a pitch has fewer sensors than others
-    fit : the fitted curve with its minimum
+    fit : the curve fitted to the first metric, with its minimum
     label : the technology's name for readers, unique in a study
+    metrics : that judge it
+    fits : fitted curve of each further metric, by its name, and of each variant of a metric, by its column, that tells a best size
+    case : labels of its case
+    errors : of its mean ΔE
     fresnel_number : (pitches,) of microlenses, below 1 where the model of their diffraction is doubtful; None without microlenses
-    data_sheet : whether the sensor is described by its data sheet only, without a process
-    light, light_limit : errors of the light, the film's at the best of the pitches, and what is tolerated of them
-    at, condition, alone : of its case (`pixsim.studies.design.Case`), in a study with axes or conditions
-    left_out : pitches in µm that are not among them, each with the reason
+    missing : (name of a metric, pitch in µm, reason) where a metric has no number; without a name, the pitch is left out
     on_displays : optima with half and with twice the display's dots, of a data sheet's sensor
     from_smallest : whether the sizes begin with the smallest of the process, by its least fill factor
-    causes : of the mean ΔE of the best of the pitches, beside noise and blur, the largest first
-    metrics : that judge it; the first one is that of `fit`
-    fits : fitted curve of each further metric that tells a best size, by its name
-    variant_fits : fitted curve of each variant of a metric that tells a best size, by its column
-    developed : what is on of the development, as of `developed_words`
-    lacking : metrics that have no number at a pitch in µm, each with the reason
     """
 
     technology: str
-    feature_size_um: Positive
+    feature_size_um: Positive | None
     pitch_um: PositiveArray = field(repr=False)
     fill_factor: Array = field(repr=False)
     statistics: dict[str, Array] = field(repr=False)
     fit: FittedCurve = field(repr=False)
     label: str = ""
-    data_sheet: bool = False
-    light: LightError = field(default=NOT_MEASURED, repr=False)
-    light_limit: LightError = field(default=NOT_MEASURED, repr=False)
-    fresnel_number: Array | None = field(default=None, repr=False)
-    at: dict[str, float | int | str] = field(default_factory=dict)
-    condition: str = ""
-    alone: str = ""
-    left_out: tuple[tuple[float, str], ...] = field(default=(), repr=False)
-    on_displays: tuple[DisplayOptimum, ...] = field(default=(), repr=False)
-    from_smallest: bool = False
-    causes: tuple[Cause, ...] = field(default=(), repr=False)
     metrics: tuple[Metric, ...] = field(default=(DELTA_E,), repr=False)
     fits: dict[str, FittedCurve] = field(default_factory=dict, repr=False)
-    variant_fits: dict[str, FittedCurve] = field(default_factory=dict, repr=False)
-    developed: str = ""
-    lacking: tuple[tuple[str, float, str], ...] = field(default=(), repr=False)
+    case: CaseLabels = CaseLabels()
+    errors: CurveErrors = field(default=CurveErrors(), repr=False)
+    fresnel_number: Array | None = field(default=None, repr=False)
+    missing: tuple[tuple[str, float, str], ...] = field(default=(), repr=False)
+    on_displays: tuple[DisplayOptimum, ...] = field(default=(), repr=False)
+    from_smallest: bool = False
 
     def __post_init__(self) -> None:
         if not self.label:
             object.__setattr__(self, "label", label_of(self.technology))
+
+    @property
+    def at(self) -> dict[str, float | int | str]:
+        """Axis -> its value in the case of the curve."""
+        return self.case.at
+
+    @property
+    def condition(self) -> str:
+        """Name of the condition of the curve; empty without."""
+        return self.case.condition
+
+    @property
+    def alone(self) -> str:
+        """Axis that is moved alone in the case of the curve; empty for none."""
+        return self.case.alone
+
+    @property
+    def data_sheet(self) -> bool:
+        """Whether the sensor is described by its data sheet only, without a process."""
+        return self.feature_size_um is None
+
+    @property
+    def left_out(self) -> tuple[tuple[float, str], ...]:
+        """Pitches in µm that are not among those of the curve, each with the reason."""
+        return tuple((pitch_um, reason) for name, pitch_um, reason in self.missing if not name)
 
     @property
     def file_label(self) -> str:
@@ -138,7 +177,7 @@ class Curve:
     @property
     def optimum_features(self) -> float | None:
         """The optimum in units of the feature size; None for a sensor given by its data sheet, which has no process."""
-        return None if self.data_sheet else self.optimum.pitch_um / self.feature_size_um
+        return None if self.feature_size_um is None else self.optimum.pitch_um / self.feature_size_um
 
     @property
     def metric(self) -> Metric:
@@ -155,12 +194,13 @@ class Curve:
         """
         if metric == self.metric.name:
             return self
-        if metric not in self.fits:
-            raise invalid("metric", f"'{metric}'", f"one that tells a best size: {', '.join([self.metric.name, *self.fits])}")
-        first = next(each for each in self.metrics if each.name == metric)
-        metrics = first, *(each for each in self.metrics if each is not first)
+        if metric not in self.optima:
+            raise invalid("metric", f"'{metric}'", f"one that tells a best size: {', '.join(self.optima)}")
+        first = next(other for other in self.metrics if other.name == metric)
+        metrics = first, *(other for other in self.metrics if other is not first)
         fits = {self.metric.name: self.fit} | {name: fit for name, fit in self.fits.items() if name != metric}
-        return replace(self, metrics=metrics, fit=self.fits[metric], fits=fits, on_displays=(), causes=())
+        errors = replace(self.errors, causes=())
+        return replace(self, metrics=metrics, fit=self.fits[metric], fits=fits, errors=errors, on_displays=())
 
     @property
     def optimum(self) -> Optimum:
@@ -170,7 +210,8 @@ class Curve:
     @property
     def optima(self) -> dict[str, Optimum]:
         """The optimum by each metric that tells a best size, by the metric's name."""
-        return {self.metrics[0].name: self.optimum} | {name: fit.optimum for name, fit in self.fits.items()}
+        further = (metric.name for metric in self.metrics[1:] if metric.name in self.fits)
+        return {self.metric.name: self.optimum} | {name: self.fits[name].optimum for name in further}
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -297,40 +338,6 @@ class Curve:
         """Fill factor at the optimum, interpolated linearly between pitches."""
         return float(np.interp(self.optimum.pitch_um, self.pitch_um, self.fill_factor))
 
-    def _further_metrics(self) -> dict[str, Any]:
-        """Return what summary.json has of metrics beside ΔE alone."""
-        if [metric.name for metric in self.metrics] == [DELTA_E.name]:
-            return {}
-        optima = {name: optimum.of_metric() for name, optimum in self.optima.items()}
-        optima |= {name: fit.optimum.of_metric() for name, fit in self.variant_fits.items()}
-        names = self.columns
-        regrets = metric_regrets(self)
-        told = {} if regrets is None else {"regrets": regrets.as_dict()}
-        means = {name: [value if math.isfinite(value) else None for value in self.typical(name).tolist()] for name in names}
-        return {"optima": optima, "metrics": means} | told
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the curve as in summary.json."""
-        mean, ci95 = shown_mean_and_ci95(self)
-        of_case = {name: value for name, value in (("at", self.at), ("condition", self.condition), ("alone", self.alone)) if value}
-        return {
-            "technology": self.technology,
-            **of_case,
-            "optimum": self.optimum.as_dict() if self.judged_by_delta_e else self.optimum.of_metric(),
-            "no_visible_difference_um": self.no_difference_um,
-            "optimum_fill_factor": self.optimum_fill_factor,
-            "optimum_features": self.optimum_features,
-            **({"causes": [cause.as_dict() for cause in self.causes]} if self.causes else {}),
-            "pitch_um": self.pitch_um.tolist(),
-            "sensors": self.sensors.tolist(),
-            "fill_factor": self.fill_factor.tolist(),
-            **({"mean_delta_e": mean.tolist(), "ci95_delta_e": ci95.tolist()} if self.judged_by_delta_e else {}),
-            **self._further_metrics(),
-            **({"left_out": {f"{pitch_um:g}": reason for pitch_um, reason in self.left_out}} if self.left_out else {}),
-            **({} if self.fresnel_number is None else {"fresnel_number": self.fresnel_number.tolist()}),
-            **({"displays": [each.as_dict() for each in self.on_displays]} if self.on_displays else {}),
-        }
-
 
 def curve_of(
     study: Study, technology: str, table: Table, metrics: tuple[Metric, ...] | None = None, label: str | None = None
@@ -365,10 +372,9 @@ def curve_of(
     fill_factor[place] = possible.columns["fill_factor"]
 
     width_um = partial(photodiode_widths_um, study, technology)
-    fits = {metric.name: fit_of_metric(metric, pitches, statistics[metric.columns[0]], width_um) for metric in metrics}
-    variant_fits = {
-        name: fit_of_metric(metric, pitches, statistics[name], width_um) for metric in metrics for name in metric.variants
-    }
+    columns = {metric.name: (metric, metric.columns[0]) for metric in metrics}
+    columns |= {name: (metric, name) for metric in metrics for name in metric.variants}
+    fits = {name: fit_of_metric(metric, pitches, statistics[column], width_um) for name, (metric, column) in columns.items()}
     fit = fits.pop(metrics[0].name)
     if fit is None:
         fittable = int(told_pitches(metrics[0], statistics[metrics[0].columns[0]]).sum())
@@ -379,21 +385,20 @@ def curve_of(
         error = invalid("metrics", got, f"values above 0 at {FEWEST_SIZES} neighbouring sizes or more", hint)
         raise TooFewSizesError(" ".join([str(error), *undefined.values()][:2]))
     process = technology_of(study, technology)
+    missing = [("", pitch_um, reason) for pitch_um, reason in left_out.items()]
+    missing += [(name, pitch_um, reason) for (name, pitch_um), reason in undefined.items()]
     return Curve(
         technology,
-        process.feature_size_um,
+        None if process.name == NO_TECHNOLOGY else process.feature_size_um,
         pitches,
         fill_factor,
         statistics,
         fit,
-        data_sheet=process.name == NO_TECHNOLOGY,
-        from_smallest=study.pitch.values_um is None and study.open_range_um[0] is None,
         metrics=metrics,
         fits={name: fitted for name, fitted in fits.items() if fitted is not None},
-        variant_fits={name: fitted for name, fitted in variant_fits.items() if fitted is not None},
-        developed=developed_words(study.develop, [study.options_of(technology)]),
-        left_out=tuple(left_out.items()),
-        lacking=tuple((*which, reason) for which, reason in undefined.items()),
+        case=CaseLabels(developed=developed_words(study.develop, [study.options_of(technology)])),
+        missing=tuple(missing),
+        from_smallest=study.pitch.values_um is None and study.open_range_um[0] is None,
     )
 
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from itertools import cycle
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.digits import span
-from pixsim.base.tables import Column
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.optics.stack import aperture_side_um
@@ -22,8 +20,6 @@ from pixsim.sensor.motion import velocity_um_per_s
 from pixsim.sensor.noise import signal_at_snr_e, variance_e2
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.reading import Readout
-from pixsim.show.figures import LOOKS, new_figure, own_style
-from pixsim.show.pages import Plate
 from pixsim.studies.settings import Study, paths_of
 from pixsim.viewer.chain import ExpectedFrame, make_chain
 from pixsim.viewer.display import picture_size_um, white_light
@@ -215,9 +211,6 @@ def sensitivity_e_per_lx_s_um2(result: StudyResult, physics: PixelPhysics) -> fl
     return float(electrons / (irradiance.luminous_weight() * spectrum).sum())
 
 
-NEQ = "neq"  # name of the figure
-
-
 @dataclass(frozen=True)
 class Quanta:
     """The NEQ of a sensor.
@@ -253,31 +246,6 @@ def quanta_of_study(result: StudyResult) -> dict[str, Quanta]:
         chain = make_chain(lit.imaging.at(best.pitch_um).registered(0), lit.light())
         found[curve.label] = Quanta.of(chain.expected(chain.integration_s))
     return found
-
-
-@own_style()
-def neq_against_frequency(quanta: Mapping[str, Quanta]) -> Plate:
-    """Draw the NEQ of sensors, by their labels, up to their Nyquist frequencies."""
-    figure = new_figure(6.4, 3.6)
-    axes = figure.subplots()
-    table: dict[str, Column] = {"sensor": [], "pitch_um": [], "frequency_cy_per_mm": [], "neq_per_mm2": []}
-    for (label, each), look in zip(quanta.items(), cycle(LOOKS), strict=False):
-        axes.plot(each.frequency_cy_per_mm, each.neq_per_mm2, lw=1.5, label=f"{label}, {each.pitch_um:.3g} µm", **look.stroke)
-        count = each.frequency_cy_per_mm.size
-        columns = [label] * count, [each.pitch_um] * count, each.frequency_cy_per_mm.tolist(), each.neq_per_mm2.tolist()
-        for column, values in zip(table.values(), columns, strict=True):
-            column += values
-    axes.set(xlabel="frequency on the sensor (cy/mm)", ylabel="NEQ (mm⁻²)", xlim=(0, None))
-    if any((each.neq_per_mm2 > 0).any() for each in quanta.values()):
-        axes.set_yscale("log")
-    axes.grid(alpha=0.25)
-    axes.legend(frameon=False, fontsize=8)
-    caption = (
-        "Noise-equivalent quanta, mean² · MTF²/noise: the quanta that an ideal detector would need for the same ratio of signal to "
-        "noise at a frequency, along an axis up to the Nyquist frequency. Mean level and noise are those of the judge information; "
-        "aliases are not in it."
-    )
-    return Plate(NEQ, caption, figure, table)
 
 
 def noise_budgets(result: StudyResult) -> dict[str, NoiseBudget]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -48,12 +48,6 @@ class Criterion:
         with np.errstate(divide="ignore"):
             return np.asarray(1 / np.interp(pitch_um, self.pitch_um, self.share) - 1)
 
-    def best_size(self) -> str:
-        """Return the best size in µm, behind ≤ at the smallest and ≥ at the largest of the sizes tried."""
-        best = self.optimum
-        end = "≤ " if best.pitch_um < self.pitch_um.mean() else "≥ "
-        return f"{'' if best.inside else end}{best.pitch_um:.2f}"
-
 
 @dataclass(frozen=True)
 class Regrets:
@@ -78,11 +72,6 @@ class Regrets:
         np.fill_diagonal(regrets, 0.0)  # the best value is that of the fit, not of its nearest place
         return regrets
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return names and regrets for JSON; None stands for infinity."""
-        rows = [[value if np.isfinite(value) else None for value in row] for row in self.matrix.tolist()]
-        return {"names": [criterion.name for criterion in self.criteria], "regret": rows}
-
 
 def share_of_best(fit: FittedCurve) -> Array:
     """Return the least loss of a fitted curve over its loss at each of its pitches, (n,), at most 1.
@@ -104,10 +93,9 @@ def criterion_of(curve: Curve, name: str, weight: float | None = None) -> Criter
 
 def metric_regrets(curve: Curve) -> Regrets | None:
     """Return the regrets of the metrics of a curve; None if fewer than two of them tell a best size."""
-    names = [curve.metric.name, *curve.fits]
-    if len(names) < 2:
+    if len(curve.optima) < 2:
         return None
-    by_metric = [curve.judged_by(name) for name in names]
+    by_metric = [curve.judged_by(name) for name in curve.optima]
     return Regrets(curve.label, "metric", tuple(criterion_of(each, each.metric.words) for each in by_metric))
 
 
@@ -130,7 +118,7 @@ def condition_regrets(study: Study, curves: Sequence[Curve]) -> list[Regrets]:
     weights = {condition.name: condition.weight / total for condition in study.condition}
     regrets = []
     for group in groups.values():
-        metrics = [group[0].metric.name, *(name for name in group[0].fits if all(name in curve.fits for curve in group))]
+        metrics = [name for name in group[0].optima if all(name in curve.optima for curve in group)]
         regrets += [_regrets(study, [curve.judged_by(metric) for curve in group], weights) for metric in metrics]
     return regrets
 
@@ -180,16 +168,3 @@ def weighted_criterion(regrets: Regrets) -> Criterion | None:
     """Return the criterion of the weighted mean over conditions; None if it has none."""
     last = regrets.criteria[-1]
     return last if last.weight is None else None
-
-
-def regrets_summary(regrets: Regrets) -> dict[str, Any]:
-    """Return the regrets of conditions as in summary.json."""
-    criteria = regrets.criteria
-    return {
-        "technology": regrets.technology,
-        "metric": criteria[0].metric.name,
-        **({"at": regrets.at} if regrets.at else {}),
-        "weights": [criterion.weight for criterion in criteria],
-        "optima": [criterion.optimum.of_metric() for criterion in criteria],
-        **regrets.as_dict(),
-    }

@@ -173,26 +173,14 @@ def evaluate_cases(
             complete.append(
                 replace(
                     curve,
-                    at=case.at,
-                    condition=case.condition,
-                    alone=case.alone,
-                    causes=causes,
+                    case=replace(curve.case, at=case.at, condition=case.condition, alone=case.alone),
+                    errors=replace(curve.errors, causes=causes),
                     on_displays=on_further_displays(study, curve, tables[number]),
                 )
             )
         rows = table.take(np.isin(table.case, members))
         found.append(
-            StudyResult(
-                study,
-                tuple(complete),
-                light.image,
-                light.camera,
-                light.film,
-                view=dict(view),
-                table=rows,
-                lit=tuple(lit[number] for number in members),
-                without=light.without,
-            )
+            StudyResult(study, tuple(complete), light, view=dict(view), table=rows, lit=tuple(lit[number] for number in members))
         )
     return found, counts, table
 
@@ -243,7 +231,7 @@ def findings_of_cases(parts: Sequence[StudyResult], workers: Workers, progress: 
     ]
     first = {key: part for key, part in zip(keys, parts, strict=True) if key}
     # Each call has its own `make`, since the calls share no data.
-    calls = [(key, partial(StudyResult, part.study, part.curves, part.irradiance, part.camera)) for key, part in first.items()]
+    calls = [(key, partial(StudyResult, part.study, part.curves, part.light)) for key, part in first.items()]
     rows: dict[str, list[Finding]] = {"": []}
     for done, (key, own) in enumerate(results_of(_reference_task, calls, workers), 1):
         rows[key] = own
@@ -294,7 +282,7 @@ def _types_by_metric(
         types = [Study.model_validate(merge(settings, settings_of(base.study, unknowns, draw))) for draw in sample.draws]
         few = {curve.technology: _few_pitches_um(types, curve) for curve in base.curves}
         few_frames = base.study.model_copy(update={"metrics": (metric.name,), "repeats": FEW_SENSORS})
-        light = Light(base.irradiance, base.camera, without=base.without)
+        light = replace(base.light, film=None, noise=None)
         for draw, drawn_study in enumerate(types):
             labels: dict[str, Label] = {"case": number, "draw": draw}
             combination = Case(drawn_study, labels, labels=labels, group=(number, draw), resolved=(base.irradiance, base.camera))
@@ -500,17 +488,14 @@ def run_prepared(
         if chosen.has_cases and chosen.paper:
             findings = findings_of_cases(found, workers, stage("paper's statements"))
     first = found[0]
-    irradiance = first.irradiance
-    settings_toml = repeated_settings(job, irradiance, spreads or {}, asked)
+    settings_toml = repeated_settings(job, first.irradiance, spreads or {}, asked)
     final = replace(first, warned=tuple(notes), curves=curves, settings_toml=settings_toml)
     if chosen.has_cases:
         names = dict.fromkeys(curve.technology for part in found for curve in part.curves)
         final = CasesResult(
             chosen,
             tuple(curve for name in names for part in found for curve in part.curves if curve.technology == name),
-            irradiance,
-            first.camera,
-            film=first.film,
+            first.light,
             view=first.view,
             settings_toml=settings_toml,
             warned=tuple(notes),

@@ -50,7 +50,7 @@ def cases_of(file: Path, out: Path, jobs: int) -> dict[str, dict[str, FittedCurv
     fits = {}
     for target, chart_curve in zip(both[0].curves, both[1].curves, strict=True):
         case = " ".join(filter(None, (study.name, target.condition)))
-        of_target = {target.metric.name: target.fit} | target.fits | target.variant_fits
+        of_target = {target.metric.name: target.fit} | target.fits
         fits[case] = of_target | {"delta_e": chart_curve.fit}
     return fits
 

@@ -12,7 +12,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from pixsim.studies.claims import REFERENCE_TECHNOLOGY, turned_words
+from pixsim.report.axes import turned_words
+from pixsim.studies.claims import REFERENCE_TECHNOLOGY
 
 
 def claims_table(rows: list[dict[str, Any]], cases: list[dict[str, Any]]) -> list[str]:

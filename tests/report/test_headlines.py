@@ -15,6 +15,7 @@ from helpers.runs import run_result
 
 import pixsim
 from pixsim.base.headline import MOST_WORDS
+from pixsim.report.curve import optimum_line, optimum_parts
 from pixsim.report.run import run_answer, run_document, run_page, score_parts, shown_mean_of
 from pixsim.report.sfr import sfr_parts
 from pixsim.report.uncertainty import uncertainty_blocks
@@ -22,9 +23,9 @@ from pixsim.report.wording import weighted_answer
 from pixsim.sensor.outside import outside_words
 from pixsim.show.document import Answer, Text, headline, plain_text
 from pixsim.show.render import html, text
+from pixsim.studies.curve import CaseLabels, CurveErrors
 from pixsim.studies.film_error import FilmError, light_error_and_limit
 from pixsim.studies.run import RunResult
-from pixsim.studies.sentences import optimum_line, optimum_parts
 from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.score import Cause
 
@@ -62,9 +63,9 @@ def curves() -> Iterator[Any]:
         other = SimpleNamespace(dots=1024, optimum=best)
         light, limit = light_error_and_limit(header, film)
         yield SimpleNamespace(
-            label="data sheet", optimum=best, pitch_um=pitch_um, light=light, light_limit=limit, causes=causes, fit_swings=swings,
+            label="data sheet", optimum=best, pitch_um=pitch_um, errors=CurveErrors(light, limit, causes), fit_swings=swings,
             no_difference_um=alike, mean=lambda: np.full(8, 76.5), from_smallest=True, on_displays=[other, other],
-            fit=SimpleNamespace(delta_e=np.full(8, 77.0)), judged_by_delta_e=True, fitted_range_um=(0.47, 15.0), developed="",
+            fit=SimpleNamespace(delta_e=np.full(8, 77.0)), judged_by_delta_e=True, fitted_range_um=(0.47, 15.0), case=CaseLabels(),
         )  # fmt: skip
 
 

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 
 import pixsim
 from pixsim.base.files import PROVENANCE, publishing, write_made_from
+from pixsim.base.notes import Note
 from pixsim.base.progress import no_stage
 from pixsim.report import kept
 from pixsim.report.kept import digest_of_report, keep_or_write
@@ -86,7 +87,11 @@ def other_light(result: StudyResult, **header: object) -> StudyResult:
     spectra, pictures = light.factors
     changed = {"factors": (spectra, pictures if header else next_number(pictures)), "within": light.within}
     image = pixsim.SpectralImage(light.wavelength_nm, light.band_width_nm, light.pitch_um, **changed, header=light.header | header)
-    return replace(result, irradiance=image)
+    return with_light(result, image=image)
+
+
+def with_light(result: StudyResult, **changes: Any) -> StudyResult:
+    return replace(result, light=replace(result.light, **changes))
 
 
 def other_curve(result: StudyResult, **changes: Callable[[Any], Any]) -> StudyResult:
@@ -96,7 +101,7 @@ def other_curve(result: StudyResult, **changes: Callable[[Any], Any]) -> StudyRe
 
 def of_cases(result: StudyResult) -> CasesResult:
     """The result of a study with axes, of one case."""
-    return CasesResult(result.study, result.curves, result.irradiance, result.camera, parts=(result,))
+    return CasesResult(result.study, result.curves, result.light, parts=(result,))
 
 
 CHANGES: dict[str, Callable[[StudyResult], StudyResult]] = {
@@ -104,17 +109,17 @@ CHANGES: dict[str, Callable[[StudyResult], StudyResult]] = {
     "a setting of a table": lambda result: replace(
         result, study=result.study.model_copy(update={"display": result.study.display.model_copy(update={"gamma": 1.8})})
     ),
-    "the camera": lambda result: replace(result, camera=result.camera.model_copy(update={"f_number": 2.9})),
+    "the camera": lambda result: with_light(result, camera=result.camera.model_copy(update={"f_number": 2.9})),
     "the light": other_light,
     "the header of the light": lambda result: other_light(result, more=1),
     "a row": lambda result: other_curve(
         result, statistics=lambda values: values | {"max_delta_e": next_number(values["max_delta_e"])}
     ),
     "the fit": lambda result: other_curve(result, fit=lambda fit: replace(fit, delta_e=next_number(fit.delta_e))),
-    "a label": lambda result: other_curve(result, condition=lambda _: "by night"),
-    "the film's error": lambda result: replace(result, film=None),
+    "a label": lambda result: other_curve(result, case=lambda case: replace(case, condition="by night")),
+    "the film's error": lambda result: with_light(result, film=None),
     "settings.toml": lambda result: replace(result, settings_toml=result.settings_toml + "\n"),
-    "a warning": lambda result: replace(result, warned=(*result.warned, "mind this")),
+    "a warning": lambda result: replace(result, warned=(*result.warned, Note("other", words="mind this"))),
     "the case of an axis": lambda result: of_cases(result),
     "sensor types": lambda result: replace(result, uncertainty=(result.curves[0].fit.optimum,)),
 }

@@ -20,8 +20,9 @@ from pixsim.report import maps
 from pixsim.report.axes import alone_words
 from pixsim.show.figures import new_figure, own_style
 from pixsim.show.pages import Plate
-from pixsim.studies.curve import Curve
+from pixsim.studies.curve import CaseLabels, Curve
 from pixsim.studies.design import Case, cases_of
+from pixsim.studies.lights import Light
 from pixsim.studies.optimum import FittedCurve, fit_curve
 from pixsim.studies.result import CasesResult, StudyResult
 from pixsim.studies.settings import Axis
@@ -43,7 +44,7 @@ def fitted(optimum_um: float, least: float) -> tuple[np.ndarray, FittedCurve]:
 def curve_of(technology: str, optimum_um: float, least: float, case: Case) -> Curve:
     delta_e, fit = fitted(optimum_um, least)
     of_case = {"at": case.at, "condition": case.condition, "alone": case.alone}
-    return Curve(technology, 0.35, PITCH_UM, np.ones(PITCH_UM.size), {"mean_delta_e": delta_e}, fit, **of_case)
+    return Curve(technology, 0.35, PITCH_UM, np.ones(PITCH_UM.size), {"mean_delta_e": delta_e}, fit, case=CaseLabels(**of_case))
 
 
 def result_of(optima_um: Optima, least: Optima = lambda *_: 1.0, **study: Any) -> StudyResult:
@@ -53,14 +54,14 @@ def result_of(optima_um: Optima, least: Optima = lambda *_: 1.0, **study: Any) -
     for case in cases_of(plan):
         of = case.at, case.condition
         curves = tuple(curve_of(name, optima_um(*of, name), least(*of, name), case) for name in case.settings.technologies)
-        parts.append(StudyResult(case.settings, curves, LIGHT, pixsim.Camera(f_number=case.settings.camera.f_number or 4.0)))
+        parts.append(StudyResult(case.settings, curves, Light(LIGHT, pixsim.Camera(f_number=case.settings.camera.f_number or 4.0))))
     curves = tuple(curve for part in parts for curve in part.curves)
-    return CasesResult(plan, curves, LIGHT, parts[0].camera, parts=tuple(parts))
+    return CasesResult(plan, curves, parts[0].light, parts=tuple(parts))
 
 
 def test_result_with_axes_prints_as_a_line_of_optima() -> None:
     result = result_of(lambda at, *_: at["lens"], axis=[{"name": "lens", "set": "camera.f_number", "values": [4.0, 8.0]}])
-    assert re.fullmatch(r"<CasesResult tiny: 0\.35um, lens 4: [^;]* µm; 0\.35um, lens 8: [^;]* µm>", repr(result))
+    assert re.fullmatch(r"<CasesResult tiny: 0\.35um, lens 4: [^;]* µm\); 0\.35um, lens 8: [^;]* µm\)>", repr(result))
 
 
 LUMINANCE = {

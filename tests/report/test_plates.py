@@ -24,6 +24,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 import pixsim
 from pixsim.light.spectral import SpectralImage
+from pixsim.report.curve import delta_e_against_pitch
 from pixsim.report.paper import figure_2a, figure_2b, map_plates, scene_plates
 from pixsim.report.pictures import MAX_TICKS, picture_axes
 from pixsim.report.study import light_against_detail, optimum_against_technology, other_statistics
@@ -38,7 +39,7 @@ from pixsim.studies.claims import Evidence, dr_and_snr_db, growth_exponent
 from pixsim.studies.design import pixel_of
 from pixsim.studies.merit import mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, system_mtf
 from pixsim.studies.optimum import Optimum
-from pixsim.studies.result import StudyResult, delta_e_against_pitch
+from pixsim.studies.result import StudyResult
 
 OPTIMA_UM = {0.5: 8.8, 0.35: 6.5, 0.25: 5.3, 0.18: 3.9}
 
@@ -70,8 +71,8 @@ def every_plate(evidence: Evidence) -> dict[str, Plate]:
         *scene_plates(evidence.result),
         *map_plates(evidence),
         light_against_detail(result, evidence.curves["0.35um"]),
-        delta_e_against_pitch(result, [curve]),
-        delta_e_against_pitch(result, result.curves, "delta_e_against_pitch_all"),
+        delta_e_against_pitch([curve]),
+        delta_e_against_pitch(result.curves).named("delta_e_against_pitch_all"),
         other_statistics(curve),
         study_pictures(result, curve, scores[0], [score.delta_e for score in scores]).named("pictures_0.35um"),
         optimum_against_technology(scaled(result)),
@@ -278,7 +279,7 @@ def test_light_against_detail_draws_terms(plates: dict[str, Plate], tiny_result:
     light = tiny_result.irradiance
     header = light.header | {"scene": "mine.xml"}
     mine = SpectralImage(light.wavelength_nm, light.band_width_nm, light.pitch_um, factors=light.factors, header=header)
-    elsewhere = replace(tiny_result, irradiance=mine)
+    elsewhere = replace(tiny_result, light=replace(tiny_result.light, image=mine))
     curve = tiny_result.curves[0]
     nyquist = 1e3 / (2 * curve.optimum.pitch_um)
     assert f"lens_mtf_at_{nyquist / 2:.3g}_lp_per_mm" in light_against_detail(elsewhere, curve).table
@@ -348,7 +349,7 @@ def curve_with(result: StudyResult, mean: Sequence[float], best: Optimum) -> Stu
 @pytest.mark.parametrize("least", [0.02, 0.6])
 def test_delta_e_against_pitch_labels(tiny_result: StudyResult, least: float) -> None:
     actual = curve_with(tiny_result, [1.0, 0.8, least, least, 0.7, 0.9], optimum(7.5, least))
-    plate = delta_e_against_pitch(actual, actual.curves)
+    plate = delta_e_against_pitch(actual.curves)
     places, axes = texts_of(plate), plate.figure.axes[0]
     assert set(places) == {"← more noise", "more blur →", "best: 7.50 µm"}
     assert places["← more noise"][0] < places["best: 7.50 µm"][0] < places["more blur →"][0]
@@ -362,7 +363,7 @@ def test_delta_e_against_pitch_labels(tiny_result: StudyResult, least: float) ->
 
 def test_delta_e_against_pitch_without_optimum_has_no_labels(tiny_result: StudyResult) -> None:
     actual = curve_with(tiny_result, [1.0, 0.9, 0.8, 0.7, 0.6, 0.5], optimum(15.0, 0.5, inside=False))
-    plate = delta_e_against_pitch(actual, actual.curves)
+    plate = delta_e_against_pitch(actual.curves)
     assert texts_of(plate) == {}
     assert [item.get_text() for item in plate.figure.axes[0].get_legend().get_texts()] == ["0.35um"]
 
@@ -370,7 +371,7 @@ def test_delta_e_against_pitch_without_optimum_has_no_labels(tiny_result: StudyR
 @pytest.mark.parametrize(("fill_factor", "there"), [((0.05, 0.73), True), ((0.712, 0.788), False), ((1.0, 1.0), False)])
 def test_fill_factor_axis_has_ticks(tiny_result: StudyResult, fill_factor: tuple[float, float], there: bool) -> None:
     curve = replace(tiny_result.curves[0], fill_factor=np.linspace(*fill_factor, 6))
-    (axes,) = delta_e_against_pitch(tiny_result, [curve]).figure.axes
+    (axes,) = delta_e_against_pitch([curve]).figure.axes
     assert len(axes.child_axes) == there
     assert all(item.get_xlabel() == "fill factor (%)" and len(item.get_xticks()) > 3 for item in axes.child_axes)
 

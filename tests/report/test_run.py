@@ -23,13 +23,13 @@ from pixsim.optics.exchange import read_with_camera, write_npz
 from pixsim.optics.lens_options import LensOptions
 from pixsim.report.outline import outline_document, run_outline
 from pixsim.report.run import colour_rows, shown_picture
+from pixsim.report.wording import lens_words
 from pixsim.scene.film import PATH_SAMPLES
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import frame_variance_dn2
 from pixsim.show.pictures import MAX_PICTURE_DOTS as MAX_DOTS, Picture, display_codes, reduced
 from pixsim.studies.run import prepare
-from pixsim.studies.sentences import lens_words
 from pixsim.viewer.setting import Run
 
 OPTIONS = "--pixel.pitch-um 21.2 --display.dots 64 --seed 3"

@@ -19,11 +19,11 @@ from helpers.tiny import COARSE, rows, tiny_toml
 import pixsim
 from pixsim.base.toml import packaged
 from pixsim.report.axes import alone_words
+from pixsim.report.study_facts import study_view_words
 from pixsim.scene.charts import siemens_star, write_chart
 from pixsim.scene.convergence import NO_TIME_LIMIT_S
 from pixsim.studies.files import load_study
 from pixsim.studies.result import StudyResult
-from pixsim.studies.sentences import study_view_words
 
 SHEET = """
 [pixel]

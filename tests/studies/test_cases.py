@@ -23,6 +23,7 @@ from pixsim.base import cache
 from pixsim.base.errors import PixsimError
 from pixsim.base.layers import nested
 from pixsim.cli.options import axes_of
+from pixsim.report.study_facts import study_notes
 from pixsim.studies import prepare as preparation
 from pixsim.studies.design import BASE, MAX_CASES, cases_of, check_number, pixel_of
 from pixsim.studies.files import load_study
@@ -312,7 +313,7 @@ def test_result_is_by_technology_axis_and_condition(done: tuple[StudyResult, Pat
         for lens, prnu in (("f/2.8", BASE), ("f/8", BASE), (BASE, BASE), (BASE, 0.01), (BASE, 0.03))
         for condition in ("day", "night")
     ]
-    assert not [note for note in result.notes if "changes nothing" in note]
+    assert not [note for note in study_notes(result) if "changes nothing" in note]
     assert result.curves[0].label == "0.35um, f/2.8, day"
     assert all(result.part_of(curve).curves[0].label == curve.label for curve in result.curves)
     with pytest.raises(PixsimError, match=r"lens = f/8, which names 2 cases; allowed: one of: f/2.8, day; f/2.8, night"):
@@ -412,7 +413,7 @@ def test_study_axis_without_effect_is_named(tmp_path: Path) -> None:
     known = axis_of("peak", "process.'0.35um'.peak_quantum_efficiency", 0.2, 0.4)
     with pytest.warns(UserWarning, match="axis peak changes nothing: .* in place of process.0.35um.peak_quantum_efficiency"):
         result = pixsim.study(small(axis=[known], pixel={"quantum_efficiency": 0.3}), tmp_path, jobs=1)
-    assert any("axis peak changes nothing" in note for note in result.notes)
+    assert any("axis peak changes nothing" in note for note in study_notes(result))
 
 
 def test_load_study_names_options_that_are_not_used(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:

@@ -20,6 +20,7 @@ import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.base.toml import packaged
 from pixsim.report.maps import Grid, Scale, axis_plates
+from pixsim.report.study_facts import study_notes
 from pixsim.scene.colour_chart import modulation, write_colour_chart
 from pixsim.studies.design import cases_of, physics_of
 from pixsim.studies.files import load_study
@@ -148,7 +149,7 @@ def test_cases_with_too_few_possible_sizes_are_left_out_with_the_reason(tmp_path
     assert [curve.at for curve in result.curves] == [{"stack": "open", "f": f_number} for f_number in (2.8, 4.0)]
     assert [text.partition(":")[0] for text in result.left_out] == [f"4t-bsi, deep, f {f_number}" for f_number in (2.8, 4)]
     assert result.as_dict()["left_out"] == list(result.left_out)
-    assert len(result.notes) >= 2
+    assert len(study_notes(result)) >= 2
     assert len(axis_plates(result)) == 5
     if largest_um > 1:  # nothing of the page depends on the reason
         text = "".join(f"{name} = {toml_of(value)}\n" for name, value in table.items())

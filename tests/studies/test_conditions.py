@@ -9,22 +9,13 @@ import numpy as np
 import pytest
 
 from pixsim.report.axes import regrets_columns
-from pixsim.report.regret import regrets_plate
+from pixsim.report.regret import condition_regrets_data, regrets_plate, regrets_tables
 from pixsim.report.wording import weighted_answer
 from pixsim.show.document import plain_text
 from pixsim.show.render import lines
-from pixsim.studies.curve import Curve
+from pixsim.studies.curve import CaseLabels, Curve
 from pixsim.studies.optimum import fit_curve, fit_of_metric
-from pixsim.studies.regret import (
-    Criterion,
-    Regrets,
-    condition_regrets,
-    regrets_summary,
-    weighted_criterion,
-    weighted_fit,
-    weighted_mean,
-)
-from pixsim.studies.sentences import regrets_tables
+from pixsim.studies.regret import Criterion, Regrets, condition_regrets, weighted_criterion, weighted_fit, weighted_mean
 from pixsim.studies.settings import Study
 from pixsim.viewer.metric_registry import metrics_named
 
@@ -47,7 +38,7 @@ def curve(condition: str, mean: np.ndarray, scatter: float, seed: int = 0, senso
     delta_e = mean[:, None] * (1 + scatter * noise)
     fit, statistics = fit_curve(PITCH_UM, delta_e), {"mean_delta_e": delta_e}
     label = f"data sheet, {condition}"
-    return Curve("none", 0.35, PITCH_UM, np.ones(PITCH_UM.size), statistics, fit, label, condition=condition)
+    return Curve("none", 0.35, PITCH_UM, np.ones(PITCH_UM.size), statistics, fit, label, case=CaseLabels(condition=condition))
 
 
 def curves_of(*means: np.ndarray, scatter: float = 1e-6, seed: int = 0) -> list[Curve]:
@@ -123,7 +114,7 @@ def test_regrets_by_a_further_metric_are_those_of_a_study_of_that_metric_alone()
     study, curves = by_information()
     _, delta_e = condition_regrets(study, curves)
     (alone,) = condition_regrets(study, exact()[:2])
-    assert regrets_summary(delta_e) == regrets_summary(alone)
+    assert condition_regrets_data(delta_e) == condition_regrets_data(alone)
 
 
 def test_weighted_mean_of_a_single_condition_is_its_own_optimum() -> None:
@@ -167,7 +158,7 @@ def test_weighted_mean_pairs_sensors() -> None:
     both = []
     for name, sign in (("day", 1.0), ("night", -1.0)):
         delta_e = 1.0 + 0.1 * sign * noise
-        both.append(replace(exact()[0], statistics={"mean_delta_e": delta_e}, condition=name))
+        both.append(replace(exact()[0], statistics={"mean_delta_e": delta_e}, case=CaseLabels(condition=name)))
     pitches_um, mean = weighted_mean([(both[0], 0.5), (both[1], 0.5)])
     assert pitches_um.tolist() == PITCH_UM.tolist()
     np.testing.assert_allclose(mean, 1.0, atol=1e-12)
@@ -204,4 +195,4 @@ def test_regrets_have_the_same_numbers_in_figure_csv_and_json() -> None:
     assert table["weight"] == [0.75, 0.25, 0.0, ""]
     assert table["pitch_um"] == [criterion.optimum.pitch_um for criterion in regrets.criteria]
     assert table["regret_at_night"] == regrets.matrix[:, 1].tolist()
-    assert regrets_summary(regrets)["regret"] == regrets.matrix.tolist()
+    assert condition_regrets_data(regrets)["regret"] == regrets.matrix.tolist()

@@ -11,9 +11,9 @@ from helpers.sheets import sheet
 from helpers.tiny import rows
 
 import pixsim
+from pixsim.report.curve import optimum_line
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.studies.result import StudyResult
-from pixsim.studies.sentences import optimum_line
 
 OPTIONS: dict[str, Any] = {"resolution": 48, "repeats": 3, "jobs": 1, "refine": False, "parameters": {MAX_LP_PER_MM: 20.0}}
 SIZES = {"min_um": 10.0, "max_um": 40.0, "count": 5}
@@ -60,4 +60,6 @@ def test_headline_says_that_the_best_size_depends_on_the_display(result: StudyRe
     depends = "; the best size depends on the display: it is 15 µm on 32 dots, 40 µm on 128 dots (an end of the range of sizes)"
     assert line(15.0, 40.0).endswith(depends)
     assert line(15.0, 16.0).endswith("; the best size is 15 µm on 32 dots, 16 µm on 128 dots")
-    assert result.as_dict()["curves"][0]["displays"] == [other.as_dict() for other in curve.on_displays]
+    assert result.as_dict()["curves"][0]["displays"] == [
+        {"dots": other.dots, "optimum": other.optimum.as_dict()} for other in curve.on_displays
+    ]

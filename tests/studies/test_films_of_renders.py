@@ -20,6 +20,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import LENS_HEADER, Tiling, camera_with_lens
 from pixsim.optics.lens_options import LensOptions
+from pixsim.report.wording import film_words
 from pixsim.scene.convergence import RenderNoise
 from pixsim.scene.film import MAX_ACROSS
 from pixsim.scene.plan import make_plan
@@ -27,7 +28,6 @@ from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import lights_of
 from pixsim.studies.film_error import BehindLens, FilmError, film_steps, measure_film, measured_places
 from pixsim.studies.lights import render_on_film
-from pixsim.studies.sentences import film_words
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging

@@ -19,8 +19,10 @@ from helpers.tiny import rows, tiny
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.report.axes import axes_files, axes_page, axes_summary, optima_columns, regrets_columns
+from pixsim.report.axes import axes_files, axes_page, cases_data, optima_columns, regrets_columns
+from pixsim.report.regret import percent, regrets_data, regrets_tables
 from pixsim.report.study import study_document
+from pixsim.report.study_facts import contrast_words, study_facts, study_notes
 from pixsim.show.document import DocumentTable, Fact
 from pixsim.show.render import text
 from pixsim.studies import sensors
@@ -33,7 +35,6 @@ from pixsim.studies.prepare import prepare
 from pixsim.studies.regret import condition_regrets, metric_regrets, share_of_best
 from pixsim.studies.result import StudyResult
 from pixsim.studies.run import MOST_RENDERS, Search, Threshold
-from pixsim.studies.sentences import contrast_words, percent, regrets_tables, study_facts
 from pixsim.viewer.metric_options import MetricOptions
 from pixsim.viewer.metric_registry import METRICS, metrics_named
 from pixsim.viewer.metrics import DELTA_E
@@ -122,7 +123,7 @@ def test_study_has_columns_and_optima_of_each_metric(judged: tuple[StudyResult, 
     assert own.optimum is own.optima["delta_e"]
     summary = result.as_dict()["curves"][0]
     assert summary["optima"]["information"]["value"] == own.optima["information"].value
-    assert summary["regrets"] == metric_regrets(own).as_dict()
+    assert summary["regrets"] == regrets_data(metric_regrets(own))
     assert summary["metrics"]["mtf50_cy_per_mm"] == own.mean("mtf50_cy_per_mm").tolist()
 
 
@@ -135,7 +136,7 @@ def test_study_says_the_best_sizes_by_information_at_three_contrasts(judged: tup
     for name in METRICS["information"].variants:
         fit = fit_of_metric(METRICS["information"], own.pitch_um, own.statistics[name], widths)
         assert fit is not None
-        assert own.variant_fits[name].optimum == fit.optimum
+        assert own.fits[name].optimum == fit.optimum
         assert result.as_dict()["curves"][0]["optima"][name] == fit.optimum.of_metric()
         sizes.append(fit.optimum)
     (line,) = contrast_words(result, own)
@@ -438,7 +439,7 @@ def test_nothing_is_left_of_a_metric_at_a_size_where_it_is_zero() -> None:
     assert regrets.matrix[1, 0] > 19, "less than 5 % is left"
     infinite = replace(regrets.criteria[0], optimum=replace(regrets.criteria[0].optimum, pitch_um=6.0))
     at_zero = replace(regrets, criteria=(infinite, regrets.criteria[1]))
-    assert at_zero.as_dict()["regret"][1][0] is None
+    assert regrets_data(at_zero)["regret"][1][0] is None
     _, matrix = regrets_tables(at_zero)
     assert [*matrix.rows][1] == ("2 information", "∞", "–")
 
@@ -460,10 +461,10 @@ def test_size_at_which_the_first_metric_fails_does_not_end_a_study(
     assert own.pitch_um[~own.told].tolist() == silent
     assert own.sensors.tolist() == [2] * own.pitch_um.size
     assert own.optima["delta_e"].pitch_um
-    assert any(re.search(reason, note) for note in result.notes)
+    assert any(re.search(reason, note) for note in study_notes(result))
     assert "NaN" not in json.dumps(result.as_dict())
     written = (tmp_path / "results.csv").read_bytes()
-    assert pixsim.study(asked, tmp_path, jobs=1).notes == result.notes
+    assert pixsim.study(asked, tmp_path, jobs=1).as_dict()["notes"] == study_notes(result)
     assert (tmp_path / "results.csv").read_bytes() == written
     assert not list(tmp_path.glob("*.old"))
 
@@ -482,7 +483,7 @@ def test_study_of_conditions_judges_by_any_metric_first(tmp_path: Path) -> None:
     regrets = condition_regrets(result.study, result.curves)
     table = regrets_columns(regrets)
     assert list(table["metric"]) == [name for _ in range(2) for name in ("information", "delta_e") for _ in range(3)]
-    first = axes_summary(result, regrets)["regrets"][0]
+    first = cases_data(result, regrets)["regrets"][0]
     assert first["names"] == ["day", "night", "weighted mean"]
     values = [optimum["value"] for optimum in first["optima"]]
     assert 0.9 * np.mean(values[:2]) < values[2] <= np.mean(values[:2]), "no size is better than each condition's own"

@@ -21,6 +21,7 @@ from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import LENS_HEADER, Tiling, camera_with_lens, without_lens
 from pixsim.optics.diffraction import diffraction_otf
 from pixsim.optics.lens_options import LensOptions
+from pixsim.report.study_facts import pairs_at_best_sizes
 from pixsim.report.wording import blur_words
 from pixsim.scene.charts import DIE_MM, csf_contrast, csf_frequency_lp_per_mm
 from pixsim.sensor.diffusion import absorption_per_um, diffusion_mtf
@@ -49,10 +50,10 @@ from pixsim.studies.claims import (
 from pixsim.studies.curve import Curve
 from pixsim.studies.design import pixel_of
 from pixsim.studies.files import load_study
+from pixsim.studies.lights import Light
 from pixsim.studies.merit import mpe30_lx_s, mtf50_cy_per_mm, sensitivity_e_per_lx_s_um2, shown_mtf, study_mtf_terms, system_mtf
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.result import StudyResult
-from pixsim.studies.sentences import pairs_at_best_sizes
 from pixsim.studies.settings import Study
 from pixsim.viewer.mtf import mtf_terms
 
@@ -79,7 +80,7 @@ class Known(StudyResult):
 def lit(wavelength_nm: Array, band_width_nm: float, spectrum: Array, camera: Camera | None = None, **more: object) -> Known:
     """A study in a given light."""
     flat = SpectralImage(wavelength_nm, band_width_nm, 5.3, factors=(spectrum[None], np.ones((1, 4, 4))))
-    return Known(Study(name="known", iso_delta_e=ISO), (), flat, camera or Camera(), **more)
+    return Known(Study(name="known", iso_delta_e=ISO), (), Light(flat, camera or Camera()), **more)
 
 
 def daylight(longest_nm: float = 800.0) -> Known:
@@ -121,7 +122,8 @@ def test_sensitivity_is_independent_of_amount_and_form() -> None:
     expected = sensitivity_e_per_lx_s_um2(result, physics)
     for picture in (5 * pictures, pictures * np.linspace(0, 1, 4)):
         for form in ({"factors": (spectra, picture)}, {"data": spectra[0] * picture[0, :, :, None]}):
-            other = replace(result, irradiance=SpectralImage(result.irradiance.wavelength_nm, 5.0, 5.3, **form))
+            image = SpectralImage(result.irradiance.wavelength_nm, 5.0, 5.3, **form)
+            other = replace(result, light=replace(result.light, image=image))
             assert sensitivity_e_per_lx_s_um2(other, physics) == pytest.approx(expected, rel=1e-6)  # float32 pictures
 
 
@@ -184,7 +186,7 @@ def chen2000(spectrum: Array | None = None) -> tuple[Known, Pixel]:
     study, nm = load_study("chen2000"), np.arange(400.0, 721.0, 5.0)
     factors = (d65(nm) if spectrum is None else spectrum)[None], np.ones((1, 4, 4))
     light = SpectralImage(nm, 5.0, 1e3 * DIE_MM / 4, factors=factors)
-    return Known(study, (), light, Camera()), pixel_of(study, "0.35um", 6.5)
+    return Known(study, (), Light(light, Camera())), pixel_of(study, "0.35um", 6.5)
 
 
 def test_study_mtf_terms_at_33_lp_per_mm() -> None:

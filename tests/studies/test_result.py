@@ -70,7 +70,7 @@ def test_study_result_repr_html_escapes_markup(result: StudyResult) -> None:
     words = Elements(cell)
     message = " ".join(words.words)
     assert MARKUP in message
-    assert set(words.tags) == {"div", "strong", "table", "tr", "th", "td", "img", "br", "p"}
+    assert set(words.tags) == {"div", "strong", "b", "table", "tr", "th", "td", "img", "br", "p"}
     for curve in result.curves:
         best = curve.optimum
         assert curve.technology in message

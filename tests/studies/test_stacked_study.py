@@ -16,12 +16,13 @@ from pixsim.base.errors import PixsimError
 from pixsim.optics.pupil import disc_pupil, numerical_aperture
 from pixsim.optics.stack import collected_shares
 from pixsim.report.axes import optima_columns
+from pixsim.report.curve import curve_table, delta_e_against_pitch
 from pixsim.report.maps import axis_plates
 from pixsim.sensor.reading import Readout
 from pixsim.studies.design import largest_pixel_um, photodiode_widths_um, physics_of
 from pixsim.studies.files import load_study
 from pixsim.studies.optimum import fit_curve
-from pixsim.studies.result import CasesResult, curve_table, delta_e_against_pitch
+from pixsim.studies.result import CasesResult
 from pixsim.studies.settings import Study
 
 LENS = {"height_um": 100.0, "index": 1.5, "microlens": "square", "shift": "optimal"}
@@ -51,8 +52,8 @@ def test_study_marks_sizes_where_the_model_is_doubtful(bare_and_lensed: tuple[Ca
     np.testing.assert_allclose(curve.fresnel_number / curve.fresnel_number[0], np.square(np.array(PITCHES_UM) / 6.0), rtol=1e-12)
     assert curve.doubtful.tolist() == [True, True, True, False, False]
     assert curve.as_dict()["fresnel_number"] == curve_table([curve])["fresnel_number"] == curve.fresnel_number.tolist()
-    plate = delta_e_against_pitch(result.parts[1], [curve])
-    assert "Hollow points" in plate.caption
+    plate = delta_e_against_pitch([curve])
+    assert "hollow points" in plate.caption
     hollow = [line for line in plate.figure.axes[0].lines if line.get_markerfacecolor() == "white" and len(line.get_xdata()) == 3]
     assert len(hollow) == 1
     np.testing.assert_array_equal(hollow[0].get_xdata(), PITCHES_UM[:3])

@@ -15,6 +15,7 @@ from pixsim.base import cache
 from pixsim.base.arrays import stream
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.toml import packaged, read_toml
+from pixsim.report.curve import optimum_line
 from pixsim.report.study import light_against_detail, report_files
 from pixsim.sensor.readout import Frame
 from pixsim.studies import evaluate as rows_module
@@ -22,7 +23,6 @@ from pixsim.studies.design import imaging_of, technology_of
 from pixsim.studies.files import load_study
 from pixsim.studies.prepare import prepare
 from pixsim.studies.result import StudyResult
-from pixsim.studies.sentences import optimum_line
 
 OWN = {"repeats": 3, "seed": 1}
 TINY_TOML = tiny_toml(**OWN)
@@ -106,7 +106,7 @@ def test_study_notes_reach_result_summary_page_and_json(tmp_path: Path) -> None:
     expected = [note.replace("--display.white-cd-per-m2", "Display(white_cd_per_m2=…)") for note in texts]
     for folder in ("python", "out"):
         with pytest.warns(UserWarning, match="brighter than display white"):
-            assert pixsim.study(tiny_study(**over), tmp_path / folder, jobs=1).notes == expected
+            assert pixsim.study(tiny_study(**over), tmp_path / folder, jobs=1).as_dict()["notes"] == expected
 
 
 # 0: whole; 4: within the last number, which still reads as one (lines end in \r\n); 60: in an earlier column; 2000: rows are gone.

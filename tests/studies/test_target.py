@@ -17,6 +17,7 @@ from helpers.tiny import keys, tiny as tiny_study, tiny_toml
 
 import pixsim
 from pixsim.base.digits import told_apart
+from pixsim.report.study_facts import open_notes, study_notes, target_notes
 from pixsim.sensor.readout import Frame
 from pixsim.studies.curve import (
     BEYOND,
@@ -33,7 +34,7 @@ from pixsim.studies.curve import (
     predicted_variance,
 )
 from pixsim.studies.optimum import STEEP, FittedCurve, Posterior, fit_curve
-from pixsim.studies.result import StudyResult, open_notes, target_notes
+from pixsim.studies.result import StudyResult
 from pixsim.studies.table import Table
 
 Sensors = dict[float, int]
@@ -156,7 +157,7 @@ def test_only_ranges_without_a_target_are_refined(fit: FittedCurve, evaluations:
 def test_an_end_that_stays_open_names_the_size_that_would_close_it(tmp_path: Path) -> None:
     """As far as the process allows: 0.35 µm has no pixels below 5.13 µm."""
     result = pixsim.study(tiny_study(pitch={"values_um": [7.0, 8.5, 11.0, 13.0, 15.0]}), tmp_path, jobs=1)
-    (note,) = [note for note in result.notes if "open" in note]
+    (note,) = [note for note in study_notes(result) if "open" in note]
     assert "the smallest size tried, 7 µm, may be the best; a size of 6 µm (pitch.values_um with 6) would tell" in note
     bound = replace(result, study=tiny_study(pitch={"min_um": 5.1341, "max_um": 15.0, "values_um": None}))
     curve = result.curves[0]
@@ -411,7 +412,7 @@ def test_study_fits_only_curves_with_new_rows(tmp_path: Path, monkeypatch: pytes
 def test_study_names_limit(done: tuple[StudyResult, Path]) -> None:
     """Among its notes, which reach the terminal, the page and the files: test_study_notes_reach_result_summary_page_and_json."""
     (note,) = target_notes(done[0])
-    assert note in done[0].notes
+    assert note in study_notes(done[0])
     half_um = done[0].curves[0].optimum.half_width_um
     where = f"± {told_apart(half_um, 0.01)[0]} µm" if half_um < np.inf else "open at an end"
     assert note.startswith(f"0.35um: the interval is {where} after {EVALUATIONS} of at most 30 evaluations (max_evaluations); the ")

@@ -21,8 +21,10 @@ import pixsim
 from pixsim.base.caller import command_line
 from pixsim.light.spectral import DIFFUSER, WHITE_RADIANCE, SpectralImage, Spectrum
 from pixsim.optics.camera import Camera
+from pixsim.report.curve import optimum_line
 from pixsim.report.run import run_document, shown_mean_of, unsure_words
 from pixsim.report.study import study_document
+from pixsim.report.study_facts import study_notes
 from pixsim.scene.plan import make_plan
 from pixsim.scene.scene import load_scene
 from pixsim.sensor.exposure import Exposure
@@ -31,7 +33,6 @@ from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
 from pixsim.show.render import text
-from pixsim.studies.sentences import optimum_line
 from pixsim.viewer.causes import causes_of, lightness_range, tells_nothing
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.score import NOTHING, Cause, LightError, mean_words, shown_mean, unmet
@@ -262,7 +263,7 @@ def test_frame_that_tells_nothing_is_said_once(case: str, tmp_path: Path) -> Non
 )
 def test_study_of_frames_that_tell_nothing_says_so(exposure: dict[str, float], why: str, tmp_path: Path) -> None:
     result = pixsim.study(tiny(exposure=exposure), tmp_path, jobs=1)
-    assert [f"{NOTHING}: {why}" in note for note in result.notes].count(True) == 1
+    assert [f"{NOTHING}: {why}" in note for note in study_notes(result)].count(True) == 1
 
 
 @pytest.mark.parametrize("integration_s", [1.6e-3, 2e-7])
@@ -393,11 +394,11 @@ def test_run_names_the_cause_in_its_headline() -> None:
 def test_study_names_the_cause_in_its_headline(tmp_path: Path) -> None:
     result = pixsim.study(tiny(pixel=FEW, pitch={"values_um": [6.0, 7.0, 8.5, 11.0, 15.0]}), tmp_path, jobs=1)
     (curve,) = result.curves
-    (cause,) = curve.causes
+    (cause,) = curve.errors.causes
     assert "codes of the ADC between black and" in cause.words
     assert cause.words in optimum_line(curve)
     assert cause.words in result._repr_html_()
-    assert result.notes[0] == f"{curve.label}: {cause}"
+    assert study_notes(result)[0] == f"{curve.label}: {cause}"
     assert result.as_dict()["curves"][0]["causes"] == [cause.as_dict()]
     assert cause.words in text(study_document(result))
 

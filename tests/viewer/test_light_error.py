@@ -12,12 +12,14 @@ from helpers.tiny import tiny
 import pixsim
 from pixsim.base.caller import command_line
 from pixsim.base.digits import with_error
+from pixsim.report.curve import optimum_line
 from pixsim.report.run import score_parts, shown_mean_of
+from pixsim.report.study_facts import study_light_words, study_unconverged
+from pixsim.report.wording import unconverged
 from pixsim.show.document import plain_text
 from pixsim.studies.film_error import FilmError
 from pixsim.studies.result import StudyResult
 from pixsim.studies.run import RunResult
-from pixsim.studies.sentences import optimum_line, study_light_words, study_unconverged, unconverged
 from pixsim.viewer.score import LightError, converged, noise_error_and_limit, unmet
 
 NOISY = {"fraction": 2.4, "target": 0.2, "ended_by": "samples", "delta_e": 0.36}  # of which 0.03 is left at the target
@@ -152,13 +154,13 @@ def test_study_shows_the_errors_of_its_light(study_result: StudyResult):
     ends_um = best_um / 4, best_um * 4
     film = replace(COARSE, pitch_um=ends_um, limit="set by --resolution")  # 0.4 in the middle of 0.6 and 0.2
     for error, of_error in ((film, "± 0.4 (film), not converged"), (replace(FINE, pitch_um=ends_um), None)):
-        shown = replace(study_result, irradiance=quiet, curves=(curve,), film=error)
+        shown = replace(study_result, light=replace(study_result.light, image=quiet, film=error), curves=(curve,))
         lines = study_unconverged(shown)
-        found = [optimum_line(shown.curves[0]), shown._repr_html_(), repr(shown)]
+        found = [optimum_line(shown.curves[0]), shown._repr_html_()]
         assert len(lines) == bool(of_error)
         assert all((of_error or "not converged") in words for words in found) == bool(of_error)
-    noisy = replace(shown, irradiance=quiet.with_planes(quiet.planes, header=header))
-    assert all("not converged" in words for words in (repr(noisy), optimum_line(noisy.curves[0]), *study_unconverged(noisy)))
+    noisy = replace(shown, light=replace(shown.light, image=quiet.with_planes(quiet.planes, header=header)))
+    assert all("not converged" in words for words in (optimum_line(noisy.curves[0]), *study_unconverged(noisy)))
 
 
 def test_study_states_its_field_and_exposure(study_result: StudyResult):
