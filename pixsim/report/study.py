@@ -92,7 +92,8 @@ def other_statistics(curve: Curve) -> Drawing:
     axes.grid(alpha=0.25)
     axes.legend(frameon=False, fontsize=8, handlelength=LEGEND_LINE)
     axes.set_title(literal(curve.label), fontsize=9)
-    return figure, curve_table([curve])
+    over_minimum = {f"{name}_over_minimum": values / values.min() for name, values in curve.means.items()}
+    return figure, curve_table([curve]) | over_minimum
 
 
 @figure(

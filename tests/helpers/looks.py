@@ -6,9 +6,11 @@ import re
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 from matplotlib.lines import Line2D
 
 from pixsim.base.headline import MOST_WORDS
+from pixsim.show.pages import Plate
 
 
 def grey_look(line: Line2D) -> tuple[object, ...]:
@@ -48,3 +50,25 @@ def assert_short_headlines(folder: Path) -> None:
 def text_of(folder: Path) -> str:
     """HTML of the report in a folder."""
     return (folder / "report.html").read_text(encoding="utf-8")
+
+
+def lines_without_rows(plate: Plate) -> list[str]:
+    """Names of a figure's lines that are not in its table: no two columns have the x and y of all their points.
+
+    A line of two points is a mark, such as the Nyquist frequency, and not data.
+    """
+    numeric = (column for column in plate.table.values() if all(isinstance(value, int | float) for value in column))
+    columns = [np.array(column, float) for column in numeric]
+    missing = []
+    for axes in plate.figure.axes:
+        for line in axes.lines:
+            points = np.array(line.get_xydata(), float)
+            is_cap = line.get_marker() in ("_", "|")  # of an error bar
+            if len(points) > 2 and not is_cap and not any(_has_rows(points, x, y) for x in columns for y in columns):
+                missing.append(str(line.get_label()))
+    return missing
+
+
+def _has_rows(points: np.ndarray, x: np.ndarray, y: np.ndarray) -> bool:
+    near = np.isclose(points[:, :1], x, rtol=1e-9, atol=0) & np.isclose(points[:, 1:], y, rtol=1e-9, atol=0, equal_nan=True)
+    return bool(near.any(axis=1).all())

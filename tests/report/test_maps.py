@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.looks import grey_look
+from helpers.looks import grey_look, lines_without_rows
 from helpers.tiny import tiny
 
 import pixsim
@@ -126,6 +126,10 @@ def test_tables_hold_closed_form_optima(plates: dict[str, Plate]) -> None:
                 assert row["interval_low_um"] < row["optimum_um"] < row["interval_high_um"]
                 assert row["mean_delta_e"] == pytest.approx(least(row, "", ""), rel=1e-3)
                 assert row["mean_delta_e_low"] < row["mean_delta_e"] < row["mean_delta_e_high"]
+
+
+def test_tables_hold_the_lines_drawn(plates: dict[str, Plate]) -> None:
+    assert {name: lines for name, plate in plates.items() if (lines := lines_without_rows(plate))} == {}
 
 
 def test_optimum_along_draws_optima_and_intervals(plates: dict[str, Plate]) -> None:

@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from helpers.chains import imaging
-from helpers.looks import grey_look
+from helpers.looks import grey_look, lines_without_rows
 from helpers.tiny import PITCHES_UM, TINY
 from matplotlib.axes import Axes
 from matplotlib.image import imread
@@ -102,9 +102,14 @@ def test_paper_plates_are_in_order(plates: dict[str, Plate]) -> None:
 UNITS = ("_um", "_db", "_mm", "_lx_s", "_lp_per_mm", "_delta_e", "_um2")
 # Ratios, names and counts; frequencies in a column's name are with their unit.
 WITHOUT_UNIT = re.compile(
-    r"technology|row|rows|columns|illuminance_lx_column_\d+|delta_e_column_\d+|sensor|contrast|fill_factor|frequency_over_6um_nyquist|optimum_features|mtf_\d+um|[a-z]+_mtf_6\.5um|"
+    r"technology|[a-z0-9]+_delta_e_over_minimum|row|rows|columns|illuminance_lx_column_\d+|delta_e_column_\d+|sensor|contrast|fill_factor|frequency_over_6um_nyquist|optimum_features|mtf_\d+um|[a-z]+_mtf_6\.5um|"
     r"(delta_e|contrast|[a-z]+_mtf)_at_[\d.]+_lp_per_mm|illuminance_lx_row_\d+"
 )
+
+
+def test_tables_hold_the_lines_drawn(plates: dict[str, Plate]) -> None:
+    found = {name: lines for name, plate in plates.items() if (lines := lines_without_rows(plate))}
+    assert {name for name in found if not name.startswith("delta_e_against_pitch")} == set(), found
 
 
 def test_plate_csv_is_complete_with_units(plates: dict[str, Plate]) -> None:
