@@ -110,6 +110,7 @@ _MODULES = {
 
 # Type of results -> the module that plots, writes and shows them.
 PRESENTERS = {
+    "Accuracy": "report.accuracy",
     "Curve": "report.curve",
     "DataSheet": "report.datasheet",
     "EdgeResponse": "report.sfr",

@@ -534,9 +534,9 @@ def accuracy(
     Writes ladder.csv, stability.csv, figures/*.svg and *.csv, summary.json and report.html.
     """
     import_less()
+    from pixsim.report.accuracy import FILES, accuracy_document
     from pixsim.show.render import write
     from pixsim.verification.ladder import measure_accuracy
-    from pixsim.verification.report import FILES, accuracy_document
 
     settings = options.settings(display=display, seed=seed)
     folder = out or DEFAULT_OUT / f"{Path(scene).stem}-accuracy"

@@ -3,5 +3,5 @@
 Input: a pixel, a picture of an edge, or a lens. Output: a data sheet, an e-SFR, or spots, PSFs and MTFs. In the order of the
 flow: `experiment` (frames), `estimators` (values with standard errors), `datasheet`; `sfr` is the slanted
 edge, `lens` traces.
-May import: base, light, optics, sensor, show, viewer.
+May import: base, light, optics, sensor, viewer.
 """

@@ -7,20 +7,17 @@ import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pixsim.base.arguments import Whole, checks_arguments
 from pixsim.base.arrays import Array
+from pixsim.base.digits import number
 from pixsim.base.notes import without_warnings
 from pixsim.base.progress import Progress, Stage, no_stage
-from pixsim.base.tables import plain, rows_csv
+from pixsim.base.result import Result
 from pixsim.scene.film import fitting_width, largest_film
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.motion_options import STILL
-from pixsim.show.document import plain_text
-from pixsim.show.pages import Figures
-from pixsim.show.render import notebook, write
 from pixsim.studies.design import Case
 from pixsim.studies.film_error import chains_of_film, light_error_and_limit, measure_film, score_with, standard_noise_of
 from pixsim.studies.lights import LightRequest, light_request, rendered_light
@@ -34,9 +31,6 @@ from pixsim.viewer.screen import white_header
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
 from pixsim.viewer.without_effect import GivenSettings, fields_of, warn_of_settings_without_effect
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 EFFORTS, QUICK_EFFORTS = (0.25, 0.5, 1.0), (0.5, 1.0)  # samples across the film, relative to that of a run
 REFERENCE, REFERENCE_OF_CHART = 2.0, 4.0
@@ -77,7 +71,7 @@ class Rung:
 
 
 @dataclass(frozen=True)
-class Accuracy:
+class Accuracy(Result):
     """The errors of a scene's mean ΔE against run time, and extreme cases with known answers.
 
     name : of the scene
@@ -97,59 +91,12 @@ class Accuracy:
     settings: Run = field(repr=False)
     seconds: float
 
-    @property
-    def reference_words(self) -> str:
-        """What the errors are measured against."""
-        if self.reference is None:
-            return "no reference: no film that fits is sure enough"
-        stated = self.reference.stated_delta_e
-        return f"a film of {self.reference.across} samples across, whose own error is at most {stated:.2g} ΔE"
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the results as in summary.json."""
-        return {
-            "scene": self.name,
-            "assumption": self.settings.pixel.assumption,
-            "reference": None if self.reference is None else plain(self.reference.as_dict()),
-            "ladder": [plain(rung.as_dict()) for rung in self.rungs],
-            "stability": [plain(case.as_dict()) for case in self.cases],
-            "seconds": self.seconds,
-        }
-
-    @checks_arguments
-    def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
-        """Return a row for each rung of the ladder as CSV, and write it to `path` if given."""
-        return rows_csv([rung.as_dict() for rung in self.rungs], path)
-
-    @checks_arguments
-    def write(self, folder: str | os.PathLike[str], figures: Figures = "svg") -> Path:
-        """Write report.html, ladder.csv, stability.csv, summary.json, figures/ (*.svg, *.csv) and provenance.json.
-
-        folder : created if missing
-        figures : "pdf" writes a PDF beside each SVG
-
-        Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
-        pixsim did not write.
-        """
-        from pixsim.verification.report import accuracy_document
-
-        return write(accuracy_document(self), Path(folder), figures=figures)
-
-    def plot(self) -> Figure:
-        """Return a Matplotlib figure of error against wall time."""
-        from pixsim.verification.report import work_precision
-
-        return work_precision(self).figure
-
-    def _repr_html_(self) -> str:
-        from pixsim.verification.report import accuracy_document
-
-        return notebook(accuracy_document(self))
-
     def __repr__(self) -> str:
-        from pixsim.verification.report import answer
-
-        return f"<Accuracy of {self.name}: {plain_text(answer(self).head)}>"
+        rung = self.rungs[-1]
+        failed = sum(not case.passed for case in self.cases)
+        return (
+            f"<Accuracy of {self.name}: mean ΔE {rung.mean_delta_e:.3f}, error {number(rung.error_delta_e)}, {failed} cases fail>"
+        )
 
 
 @checks_arguments
@@ -245,10 +192,10 @@ def climb(request: LightRequest, across: int, efforts: Sequence[float], progress
     _measure(request, imaging, widths[efforts[0]], 1 / efforts[0], None)  # what is compiled now counts for no rung
     rungs: list[Rung] = []
     noise: Array | None = None
-    for number, (effort, width) in enumerate(widths.items()):
+    for done, (effort, width) in enumerate(widths.items(), 1):
         rung, noise = _measure(request, imaging, width, 1 / effort, noise)
         rungs.append(rung)
-        progress((number + 1) / len(widths), "")
+        progress(done / len(widths), "")
     if len(rungs) == len(efforts):
         return tuple(rungs), None
 

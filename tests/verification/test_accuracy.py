@@ -14,20 +14,21 @@ from helpers.commands import command
 from helpers.edits import VARIANT
 
 import pixsim
+from pixsim.base.digits import number
 from pixsim.base.progress import no_stage
+from pixsim.report.accuracy import FILES, accuracy_document, reference_words
 from pixsim.show.render import text as text_of_document
 from pixsim.verification import ladder
 from pixsim.verification.case import KnownAnswer
 from pixsim.verification.ladder import Accuracy, Rung
-from pixsim.verification.report import FILES, accuracy_document
 from pixsim.viewer.score import LightError
 from pixsim.viewer.setting import Run
 
 pytestmark = pytest.mark.filterwarnings("default:::pixsim")  # commands print warnings to stderr
 SMALL = {"display": {"dots": 32}, "camera": {"die_mm": 0.4}}  # 75 pixels of 5.3 µm, for speed
 CASES = [
-    KnownAnswer("one", lambda: 1.0, 1.0, 0.1, "by <hand>").check("optics"),
-    KnownAnswer("two & three", lambda: 2.0, 1.0, 0.1, "it's wrong").check("viewer"),
+    KnownAnswer("one", lambda: 1.0, 1.0, 0.1, "it's right").check("optics"),
+    KnownAnswer("two & three", lambda: 2.0, 1.0, 0.1, "by <hand>").check("viewer"),
 ]
 
 
@@ -66,7 +67,8 @@ def check(accuracy: Accuracy, folder: Path) -> None:
     assert "by &lt;hand&gt;" in text
     assert "nan" not in re.sub(r'"data:[^"]*"', "", text).lower()
     lines = text_of_document(accuracy_document(accuracy)).splitlines()
-    assert lines[0] == repr(accuracy).partition(": ")[2][:-1]
+    assert lines[0].startswith("Default settings: ")
+    assert f"mean ΔE {accuracy.rungs[-1].mean_delta_e:.3f}, error {number(accuracy.rungs[-1].error_delta_e)}" in repr(accuracy)
     assert "1 of 2 extreme cases" in accuracy._repr_html_()
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     json.dumps(summary, allow_nan=False)
@@ -94,7 +96,7 @@ def test_reference_is_one_whose_own_error_is_below_a_third_of_the_smallest_shown
     errors = [each.error_delta_e for each in rungs]
     assert errors == pytest.approx([0.04, 0.02, 0.01] if is_sure else [math.nan] * 3, nan_ok=True)
     known = Accuracy("csf", rungs, reference, tuple(CASES), {"scene": "csf", "scene_hash": "a", "variant": "b"}, Run(), 1.0)
-    assert ("no reference" in known.reference_words) == (not is_sure)
+    assert ("no reference" in reference_words(known)) == (not is_sure)
     check(known, tmp_path / "out")
 
 

@@ -1,0 +1,160 @@
+"""The page of `pixsim accuracy`: error against run time, and extreme cases."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from functools import partial
+from itertools import groupby
+from operator import attrgetter
+from typing import Any
+
+from pixsim.base.digits import number
+from pixsim.base.tables import plain, rows_csv
+from pixsim.show.document import Answer, Block, Document, DocumentTable, Fact, Plot, Section, Strong, Text, made_with
+from pixsim.show.figures import LOOKS, new_figure, plain_powers
+from pixsim.show.pages import Drawing, figure, figure_files
+from pixsim.show.presenter import Presenter
+from pixsim.verification.case import ExtremeCase
+from pixsim.verification.ladder import Accuracy
+from pixsim.viewer.score import shown_mean
+
+FIGURES = ("work_precision",)
+FILES = ("report.html", "summary.json", "ladder.csv", "stability.csv", *figure_files(FIGURES))
+
+
+def accuracy_document(accuracy: Accuracy) -> Document:
+    """Return the page of an accuracy: error against run time, the films, and the extreme cases."""
+    header = accuracy.header
+    made = f"{header['scene']} (hash {header['scene_hash']}), {header['variant']}, in {accuracy.seconds:.0f} s."
+    failed, passed = failed_table(accuracy.cases), passed_table(accuracy.cases)
+    sources = "stability.csv has their values, and the source of each and the reason of its limit."
+    return Document(
+        command="accuracy",
+        kind="accuracy and run time",
+        title=f"Accuracy and run time of {accuracy.name}",
+        data=accuracy_data(accuracy),
+        answers=(answer(accuracy),),
+        lead=(Plot(partial(work_precision, accuracy)), *facts(accuracy)),
+        sections=(
+            Section("failed", "Extreme cases that fail", (failed,) if failed.rows else (), brief=True),
+            Section("ladder", "Films", (ladder_table(accuracy), "The last one is that of the default settings."), brief=True),
+            Section("passed", "Extreme cases that meet their known answers", (passed, sources), folded=True),
+            Section("made", "Reproducibility", (made, made_with()), folded=True),
+        ),
+        files={"ladder.csv": ladder_csv(accuracy), "stability.csv": rows_csv([plain(case.as_dict()) for case in accuracy.cases])},
+    )
+
+
+def accuracy_data(accuracy: Accuracy) -> dict[str, Any]:
+    """Return summary.json."""
+    return {
+        "scene": accuracy.name,
+        "assumption": accuracy.settings.pixel.assumption,
+        "reference": None if accuracy.reference is None else plain(accuracy.reference.as_dict()),
+        "ladder": [plain(rung.as_dict()) for rung in accuracy.rungs],
+        "stability": [plain(case.as_dict()) for case in accuracy.cases],
+        "seconds": accuracy.seconds,
+    }
+
+
+def ladder_csv(accuracy: Accuracy) -> str:
+    """Return a row for each rung of the ladder as CSV."""
+    return rows_csv([rung.as_dict() for rung in accuracy.rungs])
+
+
+def answer(accuracy: Accuracy) -> Answer:
+    """Return the error of the default settings and their run time."""
+    rung = accuracy.rungs[-1]
+    words = f"mean ΔE {shown_mean(rung.mean_delta_e, rung.light, rung.light_limit)}"
+    if accuracy.reference:
+        words = f"{number(rung.error_delta_e)} of mean ΔE"
+    return Answer(("Default settings: ", Strong(words), f", in {rung.seconds:.2g} s (render and score)"))
+
+
+def facts(accuracy: Accuracy) -> Iterator[Block]:
+    """Yield what follows the error of the default settings."""
+    yield Fact(reference_words(accuracy))
+    passed = sum(case.passed for case in accuracy.cases)
+    yield Fact(f"stability: {passed} of {len(accuracy.cases)} extreme cases meet their known answers")
+    yield from map(Fact, filter(None, (accuracy.settings.pixel.assumption,)))
+
+
+def reference_words(accuracy: Accuracy) -> str:
+    """Return what the errors are measured against."""
+    reference = accuracy.reference
+    if reference is None:
+        return "no reference: no film that fits is sure enough"
+    return f"reference: a film of {reference.across} samples across, whose own error is at most {reference.stated_delta_e:.2g} ΔE"
+
+
+@figure(
+    "work_precision",
+    "Error of mean ΔE against run time, for films of the samples across that are written beside the points: measured against "
+    "the reference, and stated by pixsim run for the film and the render noise.",
+)
+def work_precision(accuracy: Accuracy) -> Drawing:
+    """Plot error against wall time of each film: measured, and as pixsim states it."""
+    figure = new_figure(6.4, 4.0)
+    axes = figure.subplots()
+    seconds = [rung.seconds for rung in accuracy.rungs]
+    errors = {
+        "measured": [rung.error_delta_e for rung in accuracy.rungs],
+        "stated": [rung.stated_delta_e for rung in accuracy.rungs],
+    }
+    for (name, values), look in zip(errors.items(), LOOKS, strict=False):
+        if any(value > 0 for value in values):  # a logarithmic axis leaves out what is not above 0
+            axes.plot(seconds, values, label=name, ms=6, **look.line)
+
+    for rung in accuracy.rungs:
+        height = rung.error_delta_e if rung.error_delta_e > 0 else rung.stated_delta_e
+        if height > 0:
+            axes.annotate(f"{rung.across}", (rung.seconds, height), xytext=(5, 4), textcoords="offset points", fontsize=8)
+    axes.set(xscale="log", yscale="log", xlabel="seconds of render and score", ylabel="error of mean ΔE")
+    plain_powers(axes.xaxis)
+    axes.grid(which="major", alpha=0.25)
+    axes.legend(fontsize=8, frameon=False)
+    return figure, {"across": [rung.across for rung in accuracy.rungs], "seconds": seconds, **errors}
+
+
+def ladder_table(accuracy: Accuracy) -> DocumentTable:
+    """Return the time and the errors of each film."""
+    rows = [
+        (
+            f"{rung.across}",
+            f"{rung.seconds:.2g}",
+            f"{rung.mean_delta_e:.4f}",
+            number(rung.error_delta_e),
+            *(number(math.nan if error is None else error) for error in (rung.light.film_delta_e, rung.light.noise_delta_e)),
+        )
+        for rung in accuracy.rungs
+    ]
+    head = ("samples across", "s", "mean ΔE", "error", "stated of the film", "stated of render noise")
+    return DocumentTable("ladder", head, rows, words=None)
+
+
+def failed_table(cases: Sequence[ExtremeCase]) -> DocumentTable:
+    """Return the extreme cases that fail."""
+    rows = [
+        (
+            f"{case.room}, {case.name}",
+            *(f"{case.expected:.6g}", f"{case.got:.6g}", number(case.error), number(case.allowed)),
+            " ".join(filter(None, (case.warned, case.source))),
+        )
+        for case in cases
+        if not case.passed
+    ]
+    head = ("case", "expected", "got", "error", "limit", "warnings; source and reason of the limit")
+    return DocumentTable("failed", head, rows, words=(5,))
+
+
+def passed_table(cases: Sequence[ExtremeCase]) -> DocumentTable:
+    """Return the extreme cases that pass, below the part of the computation that they test."""
+    rows: list[tuple[Text, ...]] = []
+    for room, tested in groupby(cases, attrgetter("room")):
+        passed = [(case.name, number(case.error), number(case.allowed)) for case in tested if case.passed]
+        rows += [(room,), *passed] if room and passed else passed
+    return DocumentTable("passed", ("worst element of a sweep", "error", "limit"), rows)
+
+
+PRESENTER = Presenter(document=accuracy_document, figure=work_precision, csv=ladder_csv)
