@@ -1,4 +1,7 @@
-"""Numbers as text: with the digits that their errors allow, as an interval, a range or a duration."""
+"""The formatter of numbers for people: with the digits that their errors allow, as an interval, a range, a time, a probability.
+
+JSON, CSV and settings.toml have numbers in full.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,10 @@ import math
 
 UNKNOWN = "–"
 MOST_DIGITS = 17  # which tell any two floats apart
-MOST_DECIMALS, FINE = 4, 0.01  # of a ΔE; smaller uncertainties have two digits
+MAX_DIGITS = 4  # of a number with an error
+COARSE = (0.01, 1.0)  # errors that have one digit: a hundredth of a ΔE is not seen
+MAX_WRITTEN = 6  # significant digits of a number that somebody wrote; one with more was computed
+SURE = 0.999  # the largest probability that is stated
 
 
 def rounded(value: float, digits: int = 2) -> str:
@@ -60,14 +66,77 @@ def span(low: float | str, high: float | str, form: str = "", unit: str = "") ->
     return " to ".join(dict.fromkeys(f"{end:{form}}" for end in (low, high))) + unit
 
 
-def with_error(value: float, error: float) -> str:
-    """Return a ΔE and its uncertainty as text, to two digits of it, one above 0.01.
+def setting_text(value: float) -> str:
+    """Return a number of a setting: as it was written, and a computed one, which has more digits, to four.
 
-    >>> with_error(0.12345, 0.0021), with_error(0.9731, 0.62)
-    ('0.1235 ± 0.0021', '1.0 ± 0.6')
+    >>> setting_text(0.25), setting_text(632.816), setting_text(0.5019607843137254), setting_text(20000.0)
+    ('0.25', '632.816', '0.502', '20000')
     """
-    decimals = MOST_DECIMALS if error <= 0 else min(max(-math.floor(math.log10(error)) + (error < FINE), 1), MOST_DECIMALS)
-    return f"{value:.{decimals}f} ± {error:.{decimals}f}"
+    return rounded(value, MAX_WRITTEN if float(f"{value:.{MAX_WRITTEN}g}") == value else MAX_DIGITS)
+
+
+def exposure_time(seconds: float, digits: int = 3) -> str:
+    """Return a time of exposure.
+
+    >>> exposure_time(0.00165), exposure_time(3.2e-5), exposure_time(1000.0), exposure_time(0.0)
+    ('1.65 ms', '32 µs', '1000 s', '0 ms')
+    """
+    unit, size_s = ("s", 1.0) if seconds >= 1 else ("ms", 1e-3) if seconds >= 1e-4 or seconds == 0 else ("µs", 1e-6)
+    return f"{rounded(seconds / size_s, digits)} {unit}"
+
+
+def f_stop(value: float) -> str:
+    """Return an f-number to two decimals, three digits at least.
+
+    >>> f_stop(2.8), f_stop(0.53598), f_stop(22.627)
+    ('f/2.8', 'f/0.54', 'f/22.63')
+    """
+    return f"f/{value:.2f}".rstrip("0").removesuffix(".")
+
+
+def probability(share: float, pairs: int) -> str:
+    """Return a probability from the differences of pairs, no nearer to 0 or 1 than their number allows.
+
+    If all of n differences have one sign, a sign test gives 1 - 2⁻ⁿ, and no test without a law of the noise gives more. Beyond it,
+    the probability rests on the tails of the normal law alone, which n pairs do not show.
+
+    >>> probability(0.93, 8), probability(0.5, 8), probability(0.99961, 20), probability(0.99961, 2), probability(0.0, 4)
+    ('.93', '.5', '> .999', '> .75', '< .063')
+    """
+    limit = min(SURE, 1 - 0.5**pairs)
+    if share > limit:
+        return f"> {_share(math.floor(1e3 * limit) / 1e3)}"
+    if share < 1 - limit:
+        return f"< {_share(math.ceil(1e3 * (1 - limit)) / 1e3)}"
+    return _share(share)
+
+
+def _share(share: float) -> str:
+    return f"{share:.3f}".rstrip("0").removeprefix("0")
+
+
+def with_error(value: float, error: float) -> str:
+    """Return a number and its error as text: to two digits of the error, one from 0.01 to 1, and four digits of the number at most.
+
+    An error that is smaller than the last digit is one of it.
+
+    >>> with_error(0.12345, 0.0021), with_error(2.562, 0.04), with_error(0.9731, 0.62), with_error(15234.0, 120.0)
+    ('0.1235 ± 0.0021', '2.56 ± 0.04', '1.0 ± 0.6', '15230 ± 120')
+    >>> with_error(12.3456, 0.0021), with_error(1.2345, 0.0)
+    ('12.35 ± 0.01', '1.234 ± 0.000')
+    """
+    decimals = MAX_DIGITS - 1 - _decade(value or error)
+    if error > 0:
+        digits = 1 if COARSE[0] <= error < COARSE[1] else 2
+        decimals = min(decimals, digits - 1 - _decade(error))
+        error = max(error, 10.0**-decimals)
+    places = max(decimals, 0)
+    return f"{round(value, decimals):.{places}f} ± {round(error, decimals):.{places}f}"
+
+
+def _decade(value: float) -> int:
+    """Return the power of ten of the first digit."""
+    return math.floor(math.log10(abs(value))) if value else 0
 
 
 def with_ends(value: float, ends: tuple[float, float], form: str) -> str:

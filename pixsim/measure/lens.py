@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pixsim.base.arguments import Positive, checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
+from pixsim.base.digits import f_stop
 from pixsim.base.errors import invalid
 from pixsim.base.notes import collected_notes
 from pixsim.base.progress import Stage
@@ -212,7 +213,7 @@ class LensData:
 
     def __repr__(self) -> str:
         first = self.primary
-        return f"<LensData {self.lens.prescription.name}: f = {first.focal_length_mm:.5g} mm, f/{first.f_number:.4g}>"
+        return f"<LensData {self.lens.prescription.name}: f = {first.focal_length_mm:.5g} mm, {f_stop(first.f_number)}>"
 
 
 def asked_frequencies(pitch_um: float | None) -> tuple[float, ...]:

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Self
 from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from pixsim.base.arguments import Positive, brief, checks_arguments
+from pixsim.base.digits import f_stop
 from pixsim.base.errors import invalid
 from pixsim.base.problems import Words
 from pixsim.base.records import Record
@@ -228,7 +229,7 @@ class Camera(Record):
     @property
     def lens_words(self) -> str:
         """Focal length and f-number, as text."""
-        return f"{self.focal_length_mm:.4g} mm f/{self.f_number:.3g}"
+        return f"{self.focal_length_mm:.4g} mm {f_stop(self.f_number)}"
 
     @property
     def field_words(self) -> str:

@@ -192,7 +192,7 @@ def axes_page(
             Section("optima", "Optima", [optima_table(result.curves), best]),
             budgets_section(budgets),
             Section("cases", "Cases with pictures", [Listed(listed)]),
-            Section("made", "Reproducibility", [made, made_with(pairs("seconds", seconds, ".2f"))]),
+            Section("made", "Reproducibility", [made, made_with(pairs("seconds", seconds, 2))]),
         ),
         files={
             "optima.csv": table_csv(optima_columns(result)),

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.digits import number, rounded
+from pixsim.base.digits import exposure_time, number, rounded
 from pixsim.base.notes import Note
 from pixsim.base.tables import rows_csv
 from pixsim.measure.datasheet import DataSheet, Entry
@@ -256,7 +256,7 @@ def described(sheet: DataSheet) -> Answer:
             f"K {transfer.gain_dn_per_e.value:.3g} DN/e-, η {100 * transfer.efficiency.value:.3g} %, "
             f"σ_d {transfer.dark_noise_e.value:.3g} e-, μ_e.sat {rounded(transfer.saturation_e.value)} e-",
             f"black level {readout.adc.black_level_dn:g} DN, {physics.pixel.temperature_k:g} K, {columns} × {rows} pixels, "
-            f"{experiment.wavelength_nm:g} nm{channel}, {1e3 * experiment.integration_s:.4g} ms{gain}",
+            f"{experiment.wavelength_nm:g} nm{channel}, {exposure_time(experiment.integration_s)}{gain}",
             physics.pixel.assumption or "",
         ]
     )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.digits import UNKNOWN, number
+from pixsim.base.digits import UNKNOWN, f_stop, number
 from pixsim.base.errors import one_line
 from pixsim.base.tables import Column
 from pixsim.measure.lens import MTF_LINES, LensData, cross_section
@@ -331,7 +331,7 @@ def title_of(data: LensData) -> str:
     lens, first = data.lens, data.primary
     place = "infinity" if math.isinf(lens.object_distance_mm) else f"{lens.object_distance_mm / 1e3:.4g} m"
     return (
-        f"{one_line(lens.prescription.name)}: f = {first.focal_length_mm:.5g} mm, f/{first.f_number:.4g}, "
+        f"{one_line(lens.prescription.name)}: f = {first.focal_length_mm:.5g} mm, {f_stop(first.f_number)}, "
         f"fields to {lens.max_field_deg:.4g}°, image heights to {data.height_mm.max():.4g} mm, object at {place}"
     )
 

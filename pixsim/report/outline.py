@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pixsim.base.digits import rounded
+from pixsim.base.digits import f_stop, rounded
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.report.wording import lens_words, view_words
 from pixsim.sensor.labels import label_of
@@ -89,7 +89,7 @@ def outline_document(command: str, outline: dict[str, Any], out: Path) -> Docume
         ("scene", outline["scene"] + (f": {parameters}" if parameters else "")),
         (
             "camera",
-            f"{camera['focal_length_mm']:g} mm, f/{camera['f_number']:g}, focused at {camera['object_distance_m']:g} m; "
+            f"{camera['focal_length_mm']:g} mm, {f_stop(camera['f_number'])}, focused at {camera['object_distance_m']:g} m; "
             f"die of {1e-3 * width_um:.5g} × {1e-3 * height_um:.5g} mm, a field of {seen.field_words}" + assumed,
         ),
         ("film", f"{film['samples'][1]} × {film['samples'][0]} samples of {film['pitch_um']:.3g} µm{rays}"),

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from pixsim.base.arrays import Array
-from pixsim.base.digits import rounded, span, with_error
+from pixsim.base.digits import exposure_time, rounded, span, with_error
 from pixsim.base.files import digest_of
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.notes import Note, warn
@@ -200,7 +200,7 @@ def run_document(result: RunResult, warned: Collection[str] = ()) -> Document:
     answer = run_answer(result)
     stated = {*unsure_words(result), *warned} if judged_by_delta_e(result) else {*warned}
     lead = (*facts(result), *(note for note in notes(result) if note not in stated))
-    numbers = pairs("statistics", {name: result.statistics[0][name] for name in shown_statistics(result)}, ".6g")
+    numbers = pairs("statistics", {name: result.statistics[0][name] for name in shown_statistics(result)})
     return Document(
         command="run",
         kind="picture of one sensor",
@@ -470,7 +470,7 @@ def setup_parts(result: RunResult) -> list[str]:
     is_longest = exposure.integration_s is None and time_s >= exposure.times * exposure.max_integration_s
     longest = " (the maximum)" if is_longest else ""
     full = f", {saturated:.0%} of them saturated" if saturated > SATURATED_SHOWN else ""
-    exposed = ", ".join([f"exposed for {1e3 * time_s:.3g} ms{longest}{full}", *stage_words(settings)])
+    exposed = ", ".join([f"exposed for {exposure_time(time_s)}{longest}{full}", *stage_words(settings)])
 
     view = view_words(settings.display, result.irradiance.header, result.prepared.view, settings.window_mm, columns)
     shown = ", ".join(filter(None, (border, *view)))

@@ -53,7 +53,7 @@ def score_document(score: Score) -> Document:
         data=statistics,
         answers=(Answer(_headline(score)),),
         lead=(Plot(lambda: score_plate(score)), *_sentences(score)),
-        sections=(Section("statistics", "Statistics", (pairs("statistics", statistics, ".6g"),), brief=True),),
+        sections=(Section("statistics", "Statistics", (pairs("statistics", statistics),), brief=True),),
         files=files,
         data_file="score.json",
     )

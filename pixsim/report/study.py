@@ -372,7 +372,7 @@ def study_page(
             Section("optima", "Optima", [optima_table(result.curves)]),
             Section("numbers", "Numbers", [Section("", capital(curve.label), [numbers_table(curve)]) for curve in result.curves]),
             Section("assumed", "Assumptions", _assumptions(result)),
-            Section("made", "Reproducibility", [_rendered(result), made_with(pairs("seconds", seconds, ".2f"))]),
+            Section("made", "Reproducibility", [_rendered(result), made_with(pairs("seconds", seconds, 2))]),
         ),
         files={f"figures/contact_sheet_{view.file_label}.png": view.sheet for view in views},
     )

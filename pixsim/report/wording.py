@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pixsim.base.caller import setting
-from pixsim.base.digits import interval, told_apart
+from pixsim.base.digits import f_stop, interval, told_apart
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.optics.camera import Camera
 from pixsim.scene.convergence import RENDER_NOISE, what_reaches
@@ -128,7 +128,7 @@ def lens_words(camera: Camera) -> str:
     if camera.lens is None:
         return ""
     lens, name = camera.lens, Path(camera.lens.file).stem
-    return f"lens {name} scaled to {lens.focal_length_mm:.4g} mm, f/{lens.f_number:.3g}, a field of {camera.field_words}"
+    return f"lens {name} scaled to {lens.focal_length_mm:.4g} mm, {f_stop(lens.f_number)}, a field of {camera.field_words}"
 
 
 def thin_lens_words(camera: Camera) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pixsim.base.digits import f_stop
 from pixsim.base.notes import Note
 from pixsim.light.spectral import photons_per_joule
 from pixsim.optics.camera import Camera
@@ -50,7 +51,7 @@ def decide_real_lens(
     height, width = (math.ceil(side_um / pitch_um - FILM_ROUNDING) for side_um in camera.die_um)
     distortion = distortion_of(camera)
     assert distortion is not None
-    words = f"'{camera.lens.file}' at {camera.lens.focal_length_mm:.4g} mm f/{camera.lens.f_number:.3g}; in the corner "
+    words = f"'{camera.lens.file}' at {camera.lens.focal_length_mm:.4g} mm {f_stop(camera.lens.f_number)}; in the corner "
     words += f"{camera.chief_ray_angle[-1][2]:.0%} of the light, from {camera.chief_ray_angle[-1][1]:.3g} degrees; "
     words += f"shifts up to {1e3 * distortion.largest_mm:.3g} µm"
     if not full:

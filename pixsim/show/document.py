@@ -11,6 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from pixsim.base.digits import number
 from pixsim.base.files import versions
 from pixsim.base.headline import MOST_WORDS, NOT_CONVERGED
 from pixsim.base.notes import Note
@@ -265,9 +266,13 @@ def _plots(blocks: Iterable[Block]) -> Iterator[Plot]:
             yield from _plots(block.blocks)
 
 
-def pairs(caption: str, values: Mapping[str, Any], form: str = "") -> DocumentTable:
-    """Return a table of names and values, in the form of `format`."""
-    return DocumentTable(caption, (), tuple((name, format(value, form)) for name, value in values.items()), caption)
+def pairs(caption: str, values: Mapping[str, Any], digits: int = 4) -> DocumentTable:
+    """Return a table of names and values.
+
+    digits : of numbers that are not whole
+    """
+    texts = {name: number(value, digits) if isinstance(value, float) else str(value) for name, value in values.items()}
+    return DocumentTable(caption, (), tuple(texts.items()), caption)
 
 
 def made_with(*others: DocumentTable) -> Beside:

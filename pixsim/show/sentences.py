@@ -6,6 +6,8 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from pixsim.base.digits import setting_text
+
 STOPS = (".", "?", "!", ":")  # ends of a sentence
 IDENTIFIER = re.compile(r"\S*[\d_]|\S*\w\.\w")  # at the beginning
 
@@ -39,7 +41,7 @@ def setting_value(value: object, name: str = "") -> object:
         lengths = dict.fromkeys(("chief_ray_angle", "relative_illumination", "fall_off"), " mm")
         unit = {**lengths, "tone_curve": " × white"}.get(name, " nm")
         return f"curve of {len(value)} points, {value[0][0]:g} to {value[-1][0]:g}{unit}"
-    return value
+    return setting_text(value) if isinstance(value, float) else value
 
 
 def settings_line(settings: Mapping[str, Any]) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 
 from pixsim.base.arrays import Array, stream
 from pixsim.base.caller import setting
+from pixsim.base.digits import exposure_time
 from pixsim.base.errors import invalid
 from pixsim.sensor.collection import Collection, ColourCollection, collections_of
 from pixsim.sensor.colour import of_channels
@@ -276,7 +277,7 @@ def check_room(chain: ImagingChain, moving: Moving) -> None:
         needed_um = (abs(moving.path_um[axis]) + abs(moving.row_um[axis]) * lines) / 2
         room_um = max(0.0, min(float(edges[0]), size_um - float(edges[-1])) - border_um)
         if needed_um > room_um * (1 + ROUNDING):
-            got = f"a path of {2 * needed_um:.4g} µm on the sensor in {1e3 * (chain.exposure.integration_s or 0):.4g} ms"
+            got = f"a path of {2 * needed_um:.4g} µm on the sensor in {exposure_time(chain.exposure.integration_s or 0)}"
             slower = f"slow it down ({', '.join(VELOCITIES)})"
             hint = f"Raise {setting('motion.margin_um')}, shorten {setting('exposure.max_integration_s')}, or {slower}."
             if is_one_to_one:

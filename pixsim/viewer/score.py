@@ -11,7 +11,7 @@ import numpy as np
 
 from pixsim.base.arguments import Bounds, NotNegative, checks_fields
 from pixsim.base.arrays import Array
-from pixsim.base.digits import told_apart, with_error
+from pixsim.base.digits import exposure_time, told_apart, with_error
 from pixsim.base.errors import invalid
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.notes import Note
@@ -154,7 +154,7 @@ class FrameScore(Score):
 
     def __repr__(self) -> str:
         mean = shown_mean(self.mean_delta_e, self.light, self.light_limit, self.causes)
-        return f"<Score mean ΔE {mean}, {self.physics.pitch_um:g} µm pixels, {1e3 * self.frame.integration_s:.3g} ms>"
+        return f"<Score mean ΔE {mean}, {self.physics.pitch_um:g} µm pixels, {exposure_time(self.frame.integration_s)}>"
 
 
 def frame_statistics(readout: Readout, frame: Frame) -> dict[str, float]:

@@ -177,7 +177,7 @@ def test_study_states_its_field_and_exposure(study_result: StudyResult):
         (0.9731, 0.0, "0.9731 ± 0.0000"),
         (0.9731, 0.00012, "0.9731 ± 0.0001"),
         (0.9731, 0.096, "0.97 ± 0.10"),
-        (21.7, 14.2, "21.7 ± 14.2"),
+        (21.7, 14.2, "22 ± 14"),
     ],
 )
 def test_digits_follow_the_error(value, error, shown):
