@@ -111,10 +111,12 @@ _MODULES = {
 # Type of results -> the module that plots, writes and shows them.
 PRESENTERS = {
     "Accuracy": "report.accuracy",
+    "Comparison": "report.compare",
     "Curve": "report.curve",
     "DataSheet": "report.datasheet",
     "EdgeResponse": "report.sfr",
     "RunResult": "report.run",
+    "ResultsComparison": "report.two_results",
     "Score": "report.score",
     "StudyResult": "report.axes",
     "Table": "report.table",

@@ -464,13 +464,10 @@ def compare(
     """
     import_less()
     if len(sensors) == TWO_FOLDERS and all(Path(path).is_dir() for path in sensors):
-        from pixsim.show.document import Document
+        from pixsim.report.two_results import results_document
         from pixsim.studies.compare import compare_results
 
-        compared = compare_results(*sensors)
-        title, facts = " against ".join(compared.names), tuple(compared.facts())
-        document = Document("compare", "two results", title, compared.as_dict(), answers=compared.answers(), lead=facts)
-        answer(document, options.json)
+        answer(results_document(compare_results(*sensors)), options.json)
         return
     from pixsim.report.compare import check_output, comparison_document, comparison_outline_document, comparison_page
     from pixsim.show.render import write

@@ -8,6 +8,7 @@ import shlex
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import reduce
+from itertools import product
 from operator import getitem
 from pathlib import Path
 from typing import Any
@@ -18,17 +19,35 @@ from pixsim.base.arrays import Array
 from pixsim.base.digits import rounded, span
 from pixsim.base.files import check_replaceable
 from pixsim.base.machine import processors
+from pixsim.base.notes import Note
 from pixsim.base.records import Record
-from pixsim.base.tables import Column
 from pixsim.base.toml import SETTINGS_FILE, settings_table_text, whole_path
 from pixsim.light.curves import RESPONSES
 from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.pictures import crops, picture_axes, size_words
 from pixsim.report.run import colour_rows
-from pixsim.report.settings import record_rows, scene_rows, settings_table
-from pixsim.report.wording import DELTA_E, map_words
+from pixsim.report.settings import record_rows, scene_rows, settings_blocks, settings_table
+from pixsim.report.verdicts import (
+    asked_metrics,
+    common_words,
+    judged_by_delta_e,
+    metric_mean,
+    metric_verdict,
+    metric_words,
+    notes,
+    over_cases,
+    sensor_words,
+    shared_stages,
+    shown_mean,
+    shown_probability,
+    unconverged,
+    verdict,
+)
+from pixsim.report.wording import DELTA_E
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
+from pixsim.sensor.stages import stage_words
 from pixsim.show.document import (
+    Answer,
     Block,
     DeltaEScale,
     Document,
@@ -41,8 +60,11 @@ from pixsim.show.document import (
     Plot,
     Section,
     Slider,
+    Strong,
+    headline,
 )
-from pixsim.show.pages import Plate, figure_files
+from pixsim.show.figures import literal, new_figure
+from pixsim.show.pages import Drawing, figure, figure_files
 from pixsim.show.pictures import (
     Picture,
     delta_e_png,
@@ -55,24 +77,29 @@ from pixsim.show.pictures import (
     window_at,
     worst_window,
 )
+from pixsim.show.presenter import PageRequest, Presenter
 from pixsim.show.render import PAGE
 from pixsim.show.sentences import setting_value
-from pixsim.studies.comparison import ComparedSensor, Comparison, common_words, sensor_words, shown_probability
-from pixsim.studies.design import frame_cost
+from pixsim.studies.comparison import ComparedSensor, Comparison, DisplayDifference
+from pixsim.studies.design import BASE, frame_cost
 from pixsim.studies.dry_run import PAGE_S, START_S, Cost, render_bytes, render_seconds
 from pixsim.studies.files import scene_table, settings_text, without_files_of_axis
 from pixsim.studies.merit import LightLevel
+from pixsim.studies.paired import Pairs, mean_interval
 from pixsim.studies.sensors import OF_A_SENSOR, SHARED, ComparisonJob, SensorGroup, pixels_of
 from pixsim.studies.settings import Condition, Study, paths_of
 from pixsim.studies.uncertainty import FEW_SENSORS, TYPES_FILE, PairUncertainty
-from pixsim.viewer.develop_options import TONE_CURVES
+from pixsim.viewer.develop_options import TONE_CURVES, developed_words
+from pixsim.viewer.display import white_light
+from pixsim.viewer.metrics import Metric
 from pixsim.viewer.setting import Run
 
 JSON_FILE = "compare.json"
 SCORES = "scores"
+FIGURE_WIDTH_IN, FIGURE_BORDER_IN, ROW_IN = 6.0, 0.8, 0.4
 SCORES_CAPTION = (
-    "Mean ΔE of each frame of each sensor, with the mean and its 95 % interval; with axes, the difference of each later sensor "
-    "from the first at each of their values. The film's error is not in it."
+    "The first metric of each frame of each sensor (grey), with the mean and its 95 % interval; with axes, the difference of each "
+    "later sensor from the first at each of their values. The film's error is not in it."
 )
 ROWS_FILES = {
     "results.csv": "mean ΔE of each frame, with which an interrupted comparison goes on",
@@ -272,14 +299,20 @@ def comparison_document(result: Comparison, warned: Collection[str] = ()) -> Doc
 
     warned : notes that a reader of the terminal has seen
     """
+    content = data(result)
+    answers = tuple(_answer(result, other) for other in result.names[1:])
+    stated = tuple(note for note in notes(result) if note not in warned)
+    lead = (*facts(result), Fact(common_words(result.job)), *stated)
+    made = f"{result.shown.scene}, seed {result.shown.first.settings.seed}"
     return Document(
         command="compare",
         kind="comparison of sensors",
         title=" against ".join(result.names),
-        data=result.as_dict(),
-        answers=result.answers(),
-        lead=(*result.facts(), *(note for note in result.notes if note not in warned)),
-        about=(f"{DELTA_E} The mean over the picture is compared.",),
+        data=content,
+        cell=(*answers, Plot(lambda: scores_plate(result)), *lead, made),
+        answers=answers,
+        lead=lead,
+        about=(f"{DELTA_E} The mean over the picture is compared.",) if judged_by_delta_e(result.job) else (),
         data_file=JSON_FILE,
         sources=[Path(case.file) for case in result.shown.cases],
     )
@@ -298,15 +331,247 @@ def comparison_page(result: Comparison, folder: str | os.PathLike[str]) -> Docum
         pictures[f"pictures/ideal_{sensor.name}.png"] = light_png(score.ideal)
         pictures[f"pictures/delta_e_{sensor.name}.png"] = delta_e_png(score.delta_e, where, end)
     rows_files = [name for name in ROWS_FILES if Path(folder, name).is_file()]
-    sections = _sections(result, pictures, end, rows_files)
-    return replace(comparison_document(result), sections=sections, files={**pictures, **settings_files(result.job)})
+
+    document = comparison_document(result)
+    stated = [block for block in document.lead if isinstance(block, Note)]
+    return replace(
+        document,
+        lead=(_slider(result), *facts(result), *stated),
+        sections=_sections(result, pictures, end, rows_files),
+        files={**pictures, **settings_files(result.job)},
+    )
+
+
+def comparison_csv(result: Comparison) -> str:
+    """Return the evaluations of all sensors as CSV."""
+    return result.table.to_csv()
+
+
+def _answer(result: Comparison, other: str) -> Answer:
+    """Return the answer for a later sensor by the first metric; with axes where which is better.
+
+    The headline has the largest of what turns it or makes it unsure; what else does stands below.
+    """
+    metric = asked_metrics(result.job)[0]
+    if len(result.cases) > 1:
+        return Answer((Strong(over_cases(result, other)),), named=True)
+    if metric.is_delta_e:
+        first, *turns = verdict(result, other).split("; ")
+        warnings = [*turns, *unconverged(result)]
+    else:
+        first, warnings = metric_verdict(result, other, metric), []
+    developed = developed_words(result.shown.first.settings.develop, [case.settings.pixel for case in result.shown.cases])
+    answer = headline([(Strong(first),), *warnings[:1]])
+    return Answer(answer.head, (*answer.below, *warnings[1:], *filter(None, [developed])), named=first.startswith(result.names))
+
+
+def facts(result: Comparison) -> Iterator[Block]:
+    """Yield a row for each sensor, the answers of cases and sensor types, and what the other metrics say."""
+    where = f" in {result.shown.first.condition}" if result.shown.first.condition else ""
+    first, *others = asked_metrics(result.job)
+    rows, shared = [], shared_stages(result.shown)
+    for sensor in result.sensors:
+        time_ms = 1e3 * sensor.score.frame.integration_s
+        words = f"{sensor_words(sensor.case)}, exposed for {time_ms:.3g} ms{where}"
+        stages = [stage for stage in stage_words(sensor.case.settings) if stage not in shared]
+        mean = shown_mean(result, sensor.name) if first.is_delta_e else metric_mean(result, sensor.name, first)
+        rows.append((sensor.name, f"mean {mean}", ", ".join([words, *stages])))
+    yield DocumentTable("sensors", (), rows, words=None)
+    of_cases = [
+        f"{case.case.words or BASE}: {verdict(case, other) if first.is_delta_e else metric_verdict(case, other, first)}"
+        for case in result.cases
+        for other in result.names[1:]
+    ]
+    listed = [*(of_cases if len(result.cases) > 1 else []), *(drawn.words for drawn in result.uncertainty)]
+    if listed:
+        yield Listed(listed)
+    for metric in others:
+        if metric.is_delta_e:
+            yield from (Fact(f"mean ΔE: {verdict(result, other)}") for other in result.names[1:])
+        else:
+            yield Fact(metric_words(result, metric))
+
+
+@figure(SCORES, SCORES_CAPTION)
+def scores_plate(result: Comparison) -> Drawing:
+    """Draw the first metric of each frame of each sensor; with axes, the differences at each of their values.
+
+    Its table has the number of each frame, under conditions their weighted mean.
+    """
+    metric = asked_metrics(result.job)[0]
+    label = "mean ΔE" if metric.is_delta_e else literal(metric.title)
+    of_sensors = [{name: case.frames(name, metric) for name in case.names} for case in result.cases]
+    rows = len(result.cases) if len(result.cases) > 1 else len(result.names)
+    drawing = new_figure(FIGURE_WIDTH_IN, FIGURE_BORDER_IN + ROW_IN * rows)
+    axes = drawing.add_subplot()
+    if len(result.cases) > 1:
+        for place, other in enumerate(result.names[1:]):
+            pairs = [case.pairs(other, metric) for case in result.cases]
+            error = [of_case.half_width for of_case in pairs]
+            differences = [of_case.difference for of_case in pairs]
+            axes.errorbar(differences, range(rows), xerr=error, fmt="D", color=f"C{place}", capsize=4)
+        axes.axvline(0.0, color="0.5", lw=0.8)
+        axes.set_yticks(range(rows), [literal(case.case.words or BASE) for case in result.cases])
+        axes.set_xlabel(f"{label} above that of {literal(result.names[0])}, with its 95 % interval")
+    else:
+        (values_of,) = of_sensors
+        for row, values in enumerate(values_of.values()):
+            low, mean, high = mean_interval(values)
+            axes.plot(values, np.full(values.size, row), "o", color="tab:gray", alpha=0.5, markersize=4)
+            axes.errorbar([mean], [row], xerr=[[mean - low], [high - mean]], fmt="D", color=f"C{row}", capsize=5, markersize=5)
+        axes.set_yticks(range(rows), [literal(name) for name in result.names])
+        largest = max(float(values.max()) for values in values_of.values())
+        if largest > 0:
+            axes.set_xlim(0.0, 1.05 * largest)
+        axes.set_xlabel(f"{label}: each frame (grey), and the mean with its 95 % interval")
+    axes.set_ylim(rows - 0.5, -0.5)  # the first one is on top
+
+    table: dict[str, list[Any]] = {"case": [], "sensor": [], "repeat": [], metric.columns[0]: []}
+    for case, values_of in zip(result.cases, of_sensors, strict=True):
+        for name, values in values_of.items():
+            table["case"] += [case.case.words] * values.size
+            table["sensor"] += [name] * values.size
+            table["repeat"] += range(values.size)
+            table[metric.columns[0]] += values.tolist()
+    return drawing, table
+
+
+# --- numbers for programs ---------------------------------------------------------------------------------------------------------
+
+
+def numbers(result: Comparison) -> dict[str, Any]:
+    """Return the numbers that answer the question, as in compare.json."""
+    return {
+        "scores": {name: list(score) for name, score in result.scores.items()},
+        "difference": result.difference,
+        "interval_delta_e": {name: list(ends) for name, ends in result.interval_delta_e.items()},
+        "probability_a_better": result.probability_a_better,
+        "film_delta_e": result.film_delta_e,
+        "displays": {
+            other: [_display_data(difference, (result.names[0], other)) for difference in result.display_differences(other)]
+            for other in result.names[1:]
+        },
+        "matches": {
+            match: {other: result.pairs(other, match=match).difference for other in result.names[1:]}
+            for match in result.job.matches
+        },
+        "verdicts": {other: verdict(result, other) for other in result.names[1:]},
+    }
+
+
+def data(result: Comparison) -> dict[str, Any]:
+    """Return compare.json. With conditions the answers are those of the weighted mean, and the rest is `shown`."""
+    job, shown = result.job, result.shown
+    stated: dict[str, Any] = {"names": list(result.names), "match": job.match, "repeats": job.repeats, "scene": shown.scene}
+    stated["notes"] = [note.as_dict() for note in notes(result)]
+    if job.study is not None:
+        stated["study"] = {"name": job.study.name, "not_used": list(job.not_used)}
+    if len(result.cases) > 1:
+        cases = [{"at": case.case.at} | numbers(case) for case in result.cases]
+        return stated | {"verdicts": {other: over_cases(result, other) for other in result.names[1:]}, "cases": cases}
+    conditions = [group for group in result.groups() if group.first.condition]
+    more: dict[str, Any] = {"shown_condition": shown.first.condition} if conditions else {}
+    if conditions:
+        more["conditions"] = {group.first.condition: _condition_data(result, group) for group in conditions}
+    if len(result.names) > 2:
+        more["pairs"] = {other: _pair_data(result, other) for other in result.names[1:]}
+    if result.further_metrics:
+        more["metrics"] = {metric.name: _metric_data(result, metric) for metric in result.further_metrics}
+    if result.uncertainty:
+        more["uncertainty"] = {each.names[1]: each.as_dict() for each in result.uncertainty if each.metric.is_delta_e}
+        for each in result.uncertainty:
+            if not each.metric.is_delta_e:
+                more["uncertainty"][each.names[1]].setdefault("metrics", {})[each.metric.name] = each.as_dict()
+    return stated | {
+        **more,
+        **numbers(result),
+        **shown.as_dict(),
+        "scored_dots": list(result.sensors[0].score.delta_e.shape),
+        "display": shown.display.model_dump(),
+        "seed": shown.first.settings.seed,
+        "sensors": {
+            sensor.name: _sensor_data(sensor) | {"delta_e": result.delta_e[sensor.name].tolist()} for sensor in result.sensors
+        },
+    }
+
+
+def _condition_data(result: Comparison, group: SensorGroup) -> dict[str, Any]:
+    """Return what compare.json has of one condition."""
+    name = group.first.condition
+    frames = {sensor: result.frames(sensor, condition=name) for sensor in result.names}
+    pairs = {other: result.pairs(other, condition=name) for other in result.names[1:]}
+    return {
+        "weight": group.weight,
+        "scores": {sensor: list(mean_interval(values)) for sensor, values in frames.items()},
+        "difference": {other: each.difference for other, each in pairs.items()},
+        "interval_delta_e": {other: list(each.interval) for other, each in pairs.items()},
+        "probability_a_better": {other: each.probability_a_better for other, each in pairs.items()},
+        "film_delta_e": {other: result.film_of_pair(other, condition=name) for other in pairs},
+        "delta_e": {sensor: values.tolist() for sensor, values in frames.items()},
+    }
+
+
+def _pair_data(result: Comparison, other: str) -> dict[str, Any]:
+    """Return what compare.json has of the first sensor and another one alone, beside their difference."""
+    pairs = result.pairs(other)
+    scores = {result.names[0]: list(mean_interval(pairs.a)), other: list(mean_interval(pairs.b))}
+    group = next(group for group in result.groups_of_pair(other) if group.weight)
+    return {"scores": scores, **group.as_dict()}
+
+
+def _metric_data(result: Comparison, metric: Metric) -> dict[str, Any]:
+    """Return what compare.json has of a further metric."""
+    return {
+        "scores": {name: list(mean_interval(result.frames(name, metric))) for name in result.names},
+        "probability_a_better": {other: _better_by(result, metric, other) for other in result.names[1:]},
+    }
+
+
+def _better_by(result: Comparison, metric: Metric, other: str) -> float:
+    """Return the probability that the first sensor is better than another one by a metric, among all of the sensors."""
+    return Pairs(
+        (result.names[0], other), result.frames(result.names[0], metric), result.frames(other, metric), metric
+    ).probability_a_better
+
+
+def _sensor_data(sensor: ComparedSensor) -> dict[str, Any]:
+    """Return the entry of compare.json; `statistics` are those of its first frame, as in score.json."""
+    case, settings, score, light = sensor.case, sensor.case.settings, sensor.score, sensor.light
+    return {
+        "file": case.file,
+        "pixels": list(pixels_of(case)),
+        "statistics": score.statistics(),
+        "camera": case.camera.model_dump(),
+        "fov_deg": case.camera.fov_deg,
+        "pixel": settings.pixel.model_dump(),
+        "assumption": settings.pixel.assumption,
+        "exposure": settings.exposure.model_dump(),
+        "border_um": list(score.border_um),
+        "film": None if light.film is None else light.film.as_dict(),
+        "render_noise": None if light.noise is None else asdict(light.noise),
+        "dark": sensor.dark,
+        "causes": [cause.as_dict() for cause in sensor.causes],
+        **({} if sensor.colour is None else {"colour": sensor.colour}),
+        **({} if sensor.budget is None else {"noise_budget": sensor.budget.as_dict()}),
+        "white_spectrum": white_light(light.image)[1],
+        "irradiance": light.image.header,
+    }
+
+
+def _display_data(display: DisplayDifference, names: tuple[str, str]) -> dict[str, Any]:
+    """Return the numbers as in compare.json; `better` is None where neither is surely better."""
+    return asdict(display) | {
+        "interval_delta_e": list(display.interval_delta_e),
+        "better": {1: names[0], -1: names[1]}.get(display.sign),
+    }
+
+
+# --- sections of the page -------------------------------------------------------------------------------------------------------
 
 
 PAIRED = (
-    "Intervals and probabilities are those of Student's t for {} pairs of frames, each of another pair of individual sensors. They "
-    "tell how sure the simulation is of the mean ΔE of a sensor type, not how often one frame is better than another. The error "
-    "that the film's samples may cause is the same in every frame: it is stated beside them, and it is a part of each ±. Frame "
-    "number k has the same random seeds in all conditions, whose weighted mean is taken before its interval."
+    "Intervals and probabilities are those of Student's t for {} pairs of frames, each of another pair of individual sensors: they "
+    "are of the mean of a sensor type. Frame number k has the same random seeds in all conditions."
 )
 UNKNOWN_TYPES = (
     "Sensor types are drawn from the ranges of the technologies and from [pixel.uncertainty] of the data sheets. All have the same "
@@ -316,8 +581,20 @@ MATRIX = (
     "The matrix leads from the channels to the display's light. The larger its noise gains, the more of a sensor's noise is seen "
     "as colour."
 )
-DETAIL = "{}: the ideal image, the sensor's picture, and its errors."
-WORST_DETAIL, CHOSEN_DETAIL = "The detail where the errors of the sensors differ most", "The detail chosen in the settings"
+
+
+def _slider(result: Comparison) -> Slider:
+    """Return the picture of the first sensor beside that of another one, or the ideal image."""
+    first, *others = result.sensors
+    ideal = _picture(first.score.ideal, "ideal image")
+    return Slider(
+        id="slider",
+        heading=result.shown.words,
+        left=_picture(first.score.image, first.name),
+        others=(*(_picture(sensor.score.image, sensor.name) for sensor in others), ideal),
+        left_words=f"the picture of {first.name}",
+        right_words="the chosen picture",
+    )
 
 
 def _sections(result: Comparison, pngs: Mapping[str, bytes], end: float, rows_files: Sequence[str]) -> Iterator[Section]:
@@ -328,110 +605,105 @@ def _sections(result: Comparison, pngs: Mapping[str, bytes], end: float, rows_fi
     rows_files : of `ROWS_FILES`, those that are there
     """
     job, group, sensors, names = result.job, result.shown, result.sensors, result.names
-    first, where = sensors[0], f" in {group.words}" if group.words else ""
-    maps = [sensor.score.delta_e for sensor in sensors]
-    centre, shape = None if job.study is None else job.study.detail, (maps[0].shape[0], maps[0].shape[1])
-    window = window_at(centre, shape) if centre else worst_window([np.abs(other - maps[0]) for other in maps[1:]])
-    detail = CHOSEN_DETAIL if centre else WORST_DETAIL
-    pictures = [_picture(sensor.score.image, sensor.name) for sensor in sensors]
-    slider = Slider(
-        *("slider", f"The whole picture of {names[0]} and of another", pictures[0]),
-        (*pictures[1:], _picture(first.score.ideal, "ideal image")),
-        *(f"the picture of {names[0]}", "the chosen picture"),
-    )
-    sizes = size_words(factor_for(first.score.image), group.display.samples_per_deg)
-    figure = Plot(lambda: scores_plate(result))
-    yield Section("differences", "Differences", [_differences(result), figure, PAIRED.format(job.repeats)])
-    yield Section("pictures", f"Pictures{where}", (sizes, slider), together=True)
-    details = [
-        Section("", sensor.name, (Pictures((crops(sensor.score, window, f"the picture of {sensor.name}", end),), of),))
-        for sensor in sensors
-        for of in (f"{detail[0].lower()}{detail[1:]}",)
-    ]
-    title = "A detail, 1:1" if centre else "The largest differences, 1:1"
-    yield Section("detail", title, (DETAIL.format(detail), *details, DeltaEScale(scale(end))), together=True)
-    head = (
-        *("sensor", "mean ΔE", "99th percentile", "pixels", "pitch (µm)", "lens", "exposure (ms)", "mean electrons", "full well"),
-        *("saturated", "film's error (ΔE)"),
-    )
-    rows = [_row(sensor, result.shown_mean(sensor.name, condition=group.first.condition or None)) for sensor in sensors]
-    yield Section("numbers", f"Numbers{where}", [DocumentTable("numbers of each sensor", head, rows)])
+    where = f" in {group.words}" if group.words else ""
+    tables = [_differences(result, metric) for metric in asked_metrics(job)]
+    yield Section("differences", "Differences", [*tables, Plot(lambda: scores_plate(result)), PAIRED.format(job.repeats)])
+    if judged_by_delta_e(job):
+        yield _detail(result, end)
+        yield Section("maps", "Maps of the errors", [_map(sensor, pngs) for sensor in sensors])
+    yield Section("numbers", f"Numbers{where}", [_numbers(result)])
     probability = f"probability that {names[0]} is better (95 % interval)"
     types = ("difference", "sensor types", probability, "5 %", "median", "95 %", "unknown")
     unknown = DocumentTable("differences over sensor types", types, map(_unknown, result.uncertainty), words=(6,))
     yield Section("unknown", "What is not known of the sensors", [UNKNOWN_TYPES, unknown] if result.uncertainty else ())
     colours = [(sensor.name, colour_rows(sensor.colour, sensor.score.out_of_gamut)) for sensor in sensors if sensor.colour]
-    tables = [DocumentTable(f"colours of {name}", (), rows, name, words=None) for name, rows in colours]
-    yield Section("colour", f"Colour{where}", [MATRIX, *tables] if tables else ())
+    coloured = [DocumentTable(f"colours of {name}", (), rows, name, words=None) for name, rows in colours]
+    yield Section("colour", f"Colour{where}", [MATRIX, *coloured] if coloured else ())
     yield budgets_section({sensor.name: sensor.budget for sensor in sensors if sensor.budget is not None})
-    yield Section("maps", "Maps of the errors", [_map(sensor, pngs, end) for sensor in sensors])
-    rest = f"Noise and non-uniformities that a data sheet does not state are zero. Seed {group.first.settings.seed}."
-    yield Section("settings", "Settings", [*_settings(result), rest])
+    yield Section("shared", "What the sensors share", [Listed(common_words(job).split("; "))])
+    yield Section("settings", "Settings", settings_blocks(list(_settings(result))))
     files = comparison_files(job) | {name: words for name, words in ROWS_FILES.items() if name in rows_files}
     listed = [(Link(name, name), f": {words}") for name, words in (files | {"provenance.json": "versions and wall times"}).items()]
-    yield Section("files", "Files in this folder", [Listed(listed)])
+    yield Section("files", "Files in this folder", [Listed(listed)], folded=True)
 
 
-def scores_plate(result: Comparison) -> Plate:
-    """Draw the mean ΔE of each frame of each sensor; with axes, the differences at each of their values.
+def _detail(result: Comparison, end: float) -> Section:
+    """Return the detail where the errors differ most, or the one that is chosen in the settings, of each sensor.
 
-    Its table has the mean ΔE of each frame, under conditions their weighted mean.
+    end : of the colour scale of the ΔE maps
     """
-    rows: list[tuple[str, str, int, float]] = []
-    for case in result.cases:
-        for name, values in case.delta_e.items():
-            rows += [(case.case.words, name, repeat, float(value)) for repeat, value in enumerate(values)]
-    names = "case", "sensor", "repeat", "mean_delta_e"
-    table: dict[str, Column] = {name: [row[at] for row in rows] for at, name in enumerate(names)}
-    return Plate(SCORES, SCORES_CAPTION, result.plot(), table)
+    sensors, job = result.sensors, result.job
+    maps = [sensor.score.delta_e for sensor in sensors]
+    centre, shape = None if job.study is None else job.study.detail, (maps[0].shape[0], maps[0].shape[1])
+    window = window_at(centre, shape) if centre else worst_window([np.abs(other - maps[0]) for other in maps[1:]])
+    title = "The detail chosen in the settings" if centre else "Where the errors differ most"
+    details = [
+        Section("", sensor.name, [Pictures((crops(sensor.score, window, f"the picture of {sensor.name}", end),), title.lower())])
+        for sensor in sensors
+    ]
+    sizes = size_words(factor_for(sensors[0].score.image), result.shown.display.samples_per_deg)
+    return Section("detail", title, (*details, DeltaEScale(scale(end)), sizes), together=True)
 
 
-def _differences(result: Comparison) -> DocumentTable:
-    """Return the differences of each pair: at values of axes, in the mean and in each condition, by each match, on each display."""
+def _numbers(result: Comparison) -> DocumentTable:
+    """Return the numbers of each sensor in the shown group."""
+    condition = result.shown.first.condition or None
+    head = ["sensor", "pixels", "pitch (µm)", "lens", "exposure (ms)", "mean electrons", "full well", "saturated"]
+    rows = [list(_row(sensor)) for sensor in result.sensors]
+    if judged_by_delta_e(result.job):
+        head[1:1] = ["mean ΔE", "99th percentile"]
+        head.append("film's error (ΔE)")
+        for sensor, row in zip(result.sensors, rows, strict=True):
+            row[1:1] = [shown_mean(result, sensor.name, condition), f"{sensor.score.statistics()['p99_delta_e']:.3g}"]
+            row.append("unknown" if math.isnan(sensor.film_delta_e) else f"{sensor.film_delta_e:.1g}")
+    return DocumentTable("numbers of each sensor", head, map(tuple, rows))
+
+
+def _differences(result: Comparison, metric: Metric) -> DocumentTable:
+    """Return the differences of each pair by a metric: at values of axes, in the mean and in each condition.
+
+    Those of ΔE are also by each match, and on each display.
+    """
     better = f"probability that {result.names[0]} is better"
-    head = ("case", "sensors", "mean", "95 % interval", better, "film's error, at most")
+    head = ("case", "sensors", "mean", "95 % interval", better) + (("film's error, at most",) if metric.is_delta_e else ())
     rows: list[tuple[str, ...]] = []
     for case in result.cases:
         conditions = [group.first.condition for group in case.groups() if group.first.condition]
         for other in result.names[1:]:
             pair = f"{other} − {result.names[0]}"
-            for match in result.job.matches:
-                for condition in (None, *conditions):
-                    pairs = case.pairs(other, match=match, condition=condition)
-                    film = case.film_of_pair(other, match, condition)
-                    words = [case.case.words, condition or ("weighted mean" if conditions else ""), f"match {match}"]
-                    cells = difference_cells(pairs.difference, pairs.interval, film)
-                    chance = shown_probability(pairs.probability_a_better)
-                    rows.append((", ".join(filter(None, words)), pair, *cells[:2], chance, cells[2]))
-            for display in case.display_differences(other)[1:]:
-                cells = difference_cells(display.difference, display.interval_delta_e, display.film_delta_e)
+            for match, condition in product(
+                result.job.matches if metric.is_delta_e else result.job.matches[:1], (None, *conditions)
+            ):
+                pairs = case.pairs(other, metric, match=match, condition=condition)
+                words = [case.case.words, condition or ("weighted mean" if conditions else ""), f"match {match}"]
+                cells = (*difference_cells(pairs.difference, pairs.interval), shown_probability(pairs.probability_a_better))
+                film = (film_cell(case.film_of_pair(other, match, condition)),) if metric.is_delta_e else ()
+                rows.append((", ".join(filter(None, words)), pair, *cells, *film))
+            for display in case.display_differences(other)[1:] if metric.is_delta_e else ():
                 words = [case.case.words, f"{display.dots} dots"]
-                rows.append((", ".join(filter(None, words)), pair, *cells[:2], "", cells[2]))
-    return DocumentTable("differences of mean ΔE", head, rows, words=(1,))
+                cells = (*difference_cells(display.difference, display.interval_delta_e), "")
+                rows.append((", ".join(filter(None, words)), pair, *cells, film_cell(display.film_delta_e)))
+    name = "mean ΔE" if metric.is_delta_e else metric.words
+    return DocumentTable(f"differences of {name}", head, rows, "" if metric.is_delta_e else metric.title, words=(1,))
 
 
 def _picture(luminance: Array, name: str) -> Picture:
     return Picture(display_codes(reduced(luminance)), name)
 
 
-def _map(sensor: ComparedSensor, pngs: Mapping[str, bytes], end: float) -> Map:
+def _map(sensor: ComparedSensor, pngs: Mapping[str, bytes]) -> Map:
     """Return the ΔE map of a sensor."""
     statistics = sensor.score.statistics()
-    words = map_words(f"{sensor.name}, first frame: ", statistics["mean_delta_e"], statistics["p99_delta_e"], end)
+    words = f"{sensor.name}, first frame: S-CIELAB ΔE. One dot in a hundred has more than {statistics['p99_delta_e']:.3g}."
     return Map(pngs[f"pictures/delta_e_{sensor.name}.png"], words)
 
 
-def _row(sensor: ComparedSensor, mean: str) -> tuple[str, ...]:
-    """Return a sensor's row of the page's table of numbers.
-
-    mean : its mean ΔE
-    """
+def _row(sensor: ComparedSensor) -> tuple[str, ...]:
+    """Return a sensor's row of the page's table of numbers, without those of ΔE."""
     statistics = sensor.score.statistics()
     (rows, columns), pixel = pixels_of(sensor.case), sensor.case.settings.pixel
     return (
         sensor.name,
-        mean,
-        f"{statistics['p99_delta_e']:.3g}",
         f"{columns} × {rows}",
         f"{pixel.pitch_um:g}",
         sensor.case.camera.lens_words,
@@ -439,13 +711,17 @@ def _row(sensor: ComparedSensor, mean: str) -> tuple[str, ...]:
         rounded(statistics["mean_electrons_e"], 4),
         rounded(statistics["full_well_e"], 4),
         f"{100 * statistics['saturated_fraction']:.2g} %",
-        "unknown" if math.isnan(sensor.film_delta_e) else f"{sensor.film_delta_e:.1g}",
     )
 
 
-def difference_cells(difference: float, interval: tuple[float, float], film: float | None) -> tuple[str, str, str]:
-    """Return a difference, its 95 % interval, and the largest error that the film may cause."""
-    return f"{difference:+.4f}", span(*interval, "+.4f"), "unknown" if film is None else f"{film:.2g}"
+def difference_cells(difference: float, interval: tuple[float, float]) -> tuple[str, str]:
+    """Return a difference and its 95 % interval."""
+    return f"{difference:+.4f}", span(*interval, "+.4f")
+
+
+def film_cell(film_delta_e: float | None) -> str:
+    """Return the largest error of a difference that the film may cause."""
+    return "unknown" if film_delta_e is None else f"{film_delta_e:.2g}"
 
 
 def _unknown(drawn: PairUncertainty) -> tuple[str, ...]:
@@ -467,7 +743,9 @@ def _settings(result: Comparison) -> Iterator[DocumentTable]:
     coloured = any(sensor.case.settings.pixel.colour for sensor in result.sensors)
     times_s = [sensor.score.frame.integration_s for sensor in result.sensors]
     level = LightLevel.of(first.light.image, group.display, times_s)
-    yield settings_table("scene", scene_rows(first.light.image, first.case.settings.scene, level))
+    seed = group.first.settings.seed
+    seed_row = ("seed", seed, "of all random numbers", "set" if seed else "default")
+    yield settings_table("scene", [*scene_rows(first.light.image, first.case.settings.scene, level), seed_row])
     yield settings_table("display", record_rows("display", group.display, False, coloured=coloured))
     develop = group.first.settings.develop
     if coloured or develop.words:
@@ -482,3 +760,10 @@ def _settings(result: Comparison) -> Iterator[DocumentTable]:
         values = [(path, reduce(getitem, path, condition.set)) for path in paths_of(condition.set)]
         rows = [(".".join(path), setting_value(value, path[-1]), "", "set") for path, value in values]
         yield settings_table(f"condition {condition.name}", rows)
+
+
+def _page(result: Comparison, request: PageRequest) -> Document:
+    return comparison_page(result, request.folder)
+
+
+PRESENTER = Presenter(document=comparison_document, figure=scores_plate, csv=comparison_csv, page=_page)

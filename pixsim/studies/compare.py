@@ -22,20 +22,17 @@ import numpy as np
 
 from pixsim.base.arguments import Count, Jobs, checks_arguments
 from pixsim.base.arrays import Array
-from pixsim.base.digits import span, with_error
 from pixsim.base.errors import invalid
 from pixsim.base.files import output_folder, version_of_files
 from pixsim.base.layers import listed
 from pixsim.base.notes import Note, collected_notes, warn, without_warnings
 from pixsim.base.progress import Progress, Stage, no_stage
+from pixsim.base.result import Result
 from pixsim.base.schema import check_not_newer
-from pixsim.base.tables import rows_csv
 from pixsim.base.version import VERSION
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.plan import Plan
 from pixsim.sensor.pixel_options import BORDER_PIXELS
-from pixsim.show.document import Answer, Block, DocumentTable, Listed, Strong, plain_text
-from pixsim.show.render import notebook
 from pixsim.studies.comparison import ComparedSensor, Comparison
 from pixsim.studies.design import Case, check_number, named, warn_of_reviews
 from pixsim.studies.engine import Workers, workers_for
@@ -164,19 +161,6 @@ class ResultPairs:
     place: Mapping[str, Any]
     pairs: Pairs
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the numbers for JSON; those that one pair does not tell are None."""
-        pairs = self.pairs
-        is_one = pairs.a.size < FEWEST_PAIRS
-        return {
-            **self.place,
-            "metric": pairs.metric.name,
-            "pairs": pairs.a.size,
-            "difference": pairs.difference,
-            "interval": None if is_one else list(pairs.interval),
-            "probability_a_better": None if is_one else pairs.probability_a_better,
-        }
-
     @property
     def sign(self) -> int:
         """1 if the first result is surely better, -1 if the other one is, else 0."""
@@ -187,7 +171,7 @@ class ResultPairs:
 
 
 @dataclass(frozen=True)
-class ResultsComparison:
+class ResultsComparison(Result):
     """Two results of the same light and random streams, paired frame by frame.
 
     a, b : the folders
@@ -207,76 +191,8 @@ class ResultsComparison:
             return self.a.name, self.b.name
         return str(self.a.path), str(self.b.path)
 
-    @property
-    def sentences(self) -> list[str]:
-        """One sentence for each metric: which result is better, by how much, and at how many places."""
-        sentences = []
-        for name in dict.fromkeys(each.pairs.metric.name for each in self.differences):
-            of_metric = [each for each in self.differences if each.pairs.metric.name == name]
-            sentences.append(_sentence(of_metric, self.names))
-        return sentences
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the differences, b minus a, for JSON."""
-        rows = [each.as_dict() for each in self.differences]
-        return {"names": list(self.names), "verdicts": self.sentences, "differences": rows, "only_in_one": self.only_in_one}
-
-    @checks_arguments
-    def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
-        """Return a row for each metric and place as CSV, and write it to `path` if given."""
-        rows = [each.as_dict() for each in self.differences]
-        return rows_csv([{name: "" if value is None else value for name, value in row.items()} for row in rows], path)
-
-    def answers(self) -> list[Answer]:
-        """Return the sentences as answers."""
-        return [Answer((Strong(sentence),)) for sentence in self.sentences]
-
-    def facts(self) -> Iterator[Block]:
-        """Yield a table of all differences, and what was not paired."""
-        labels = list(dict.fromkeys(name for each in self.differences for name in each.place))
-        first, other = self.names
-        head = (*labels, "metric", f"{other} − {first}", "95 % interval", f"probability that {first} is better", "pairs")
-        rows = []
-        for each in self.differences:
-            row = each.as_dict()
-            is_one = row["interval"] is None
-            interval = "" if is_one else span(row["interval"][0], row["interval"][1], "+.4g")
-            chance = "" if is_one else f"{row['probability_a_better']:.3f}"
-            values = [str(each.place.get(name, "")) for name in labels]
-            rows.append((*values, row["metric"], f"{row['difference']:+.4g}", interval, chance, str(row["pairs"])))
-        yield DocumentTable("differences", head, rows, words=tuple(range(1, len(labels) + 1)))
-        if self.only_in_one:
-            yield Listed([f"{self.only_in_one} rows are in one of the results only"])
-
-    def _repr_html_(self) -> str:
-        from pixsim.show.document import Document
-
-        return notebook(Document("", "", "", {}, cell=(*self.answers(), *self.facts())))
-
     def __repr__(self) -> str:
-        return f"<ResultsComparison {'; '.join(plain_text(answer.head) for answer in self.answers())}>"
-
-
-def _sentence(of_metric: list[ResultPairs], names: tuple[str, str]) -> str:
-    """Return which of two results is better by a metric."""
-    first, metric = of_metric[0].pairs, of_metric[0].pairs.metric
-    words = "mean ΔE" if metric.is_delta_e else metric.words
-    if len(of_metric) == 1:
-        pairs = first
-        if not pairs.differences.any():
-            return f"{words}: {names[0]} and {names[1]} are the same in every pair of frames"
-        unit = f" {metric.unit}" if metric.unit else ""
-        better = names[0] if metric.worse_by(pairs.difference, 0.0) > 0 else names[1]
-        if pairs.a.size < FEWEST_PAIRS:
-            return f"{words}: {better} is better by {abs(pairs.difference):.4g}{unit} in one pair of frames"
-        size = with_error(abs(pairs.difference), pairs.half_width)
-        worse = names[1] if better == names[0] else names[0]
-        if not of_metric[0].sign:
-            return f"{words}: {names[0]} and {names[1]} cannot be told apart, {better} is better by {size}{unit}"
-        return f"{words}: {better} is better than {worse} by {size}{unit}"
-    signs = [each.sign for each in of_metric]
-    counts = [f"{name} is better at {signs.count(sign)}" for sign, name in ((1, names[0]), (-1, names[1])) if sign in signs]
-    return f"{words}: {', '.join(counts) or 'neither is surely better at any'} of {len(signs)} places"
+        return f"<ResultsComparison {' and '.join(self.names)}: {len(self.differences)} differences>"
 
 
 @checks_arguments
@@ -472,7 +388,7 @@ def run_prepared(
         if job.types is not None:
             drawn = differences_of_types(job.types, result, lit, files[TYPES_FILE], workers, stage("sensor types"))
             result = replace(result, uncertainty=tuple(drawn))
-    return replace(result, notes=(*notes, *result.sensor_notes))
+    return replace(result, warned=tuple(notes))
 
 
 def _with_groups(groups: Sequence[SensorGroup], lit: Sequence[LitCase]) -> list[tuple[SensorGroup, LitCase]]:

@@ -15,7 +15,9 @@ from helpers.looks import text_of
 from helpers.sheets import two_sheets
 
 import pixsim
-from pixsim.studies.comparison import Comparison, DisplayDifference, shown_delta_e, verdict_words
+from pixsim.report.compare import numbers
+from pixsim.report.verdicts import depends, over_cases, shown_delta_e, verdict_words
+from pixsim.studies.comparison import Comparison, DisplayDifference
 from pixsim.studies.design import Case
 from pixsim.studies.paired import Pairs
 from pixsim.viewer.setting import Run
@@ -124,7 +126,7 @@ def test_verdict_depends_on_the_display_where_the_sign_differs(
     monkeypatch.setattr(Comparison, "display_differences", lambda self, other, match=None: on_displays(*differences))
     monkeypatch.setattr(Comparison, "groups", lambda self, match=None: [SimpleNamespace(first=SimpleNamespace(condition=""))])
     job = SimpleNamespace(names=("a", "b"), matches=("view",))
-    assert Comparison(job, None, ()).depends("b") == words  # type: ignore[arg-type]
+    assert depends(Comparison(job, None, ()), "b") == words  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -137,10 +139,10 @@ def test_verdict_depends_on_the_display_where_the_sign_differs(
 )
 def test_headline_over_axes_says_where_which_is_better(signs: list[int], words: str, monkeypatch: pytest.MonkeyPatch) -> None:
     cases = [Case(settings=Run(), at={"light": light}) for light in (100, 0.05, 1)]
-    job = SimpleNamespace(names=("a", "b"), match="lens", combinations=cases)
-    monkeypatch.setattr(Comparison, "depends", lambda self, other: [])
+    job = SimpleNamespace(names=("a", "b"), match="lens", combinations=cases, base=(Run(),))
+    monkeypatch.setattr("pixsim.report.verdicts.depends", lambda result, other: [])
     monkeypatch.setattr(Comparison, "sign", lambda self, other, match=None, condition=None: signs[self.combination])
-    assert Comparison(job, None, ()).headline("b") == f"{words} with match lens"  # type: ignore[arg-type]
+    assert over_cases(Comparison(job, None, ()), "b") == f"{words} with match lens"  # type: ignore[arg-type]
 
 
 def test_each_value_of_an_axis_is_a_comparison_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -159,7 +161,7 @@ def test_each_value_of_an_axis_is_a_comparison_of_its_own(tmp_path: Path, monkey
         options = {"display": {"dots": 32}, "resolution": 48, "repeats": 3, "jobs": 1, "match": "view"}
         alone = pixsim.compare(files, parameters={"luminance_cd_per_m2": light}, **options)
         assert case["at"] == {"light": light}
-        assert {name: case[name] for name in alone.numbers()} == json.loads(json.dumps(alone.numbers()))
+        assert {name: case[name] for name in numbers(alone)} == json.loads(json.dumps(numbers(alone)))
         assert f"light {light:g}" in text_of(tmp_path / "out")
     again = Path("out/results.csv").read_bytes()
     monkeypatch.chdir("out")

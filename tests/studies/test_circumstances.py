@@ -13,6 +13,8 @@ from scipy import stats
 
 import pixsim
 from pixsim.base.errors import PixsimError
+from pixsim.report.compare import numbers
+from pixsim.report.verdicts import depends, verdict
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.paired import paired
 from pixsim.studies.sensors import prepare
@@ -82,8 +84,8 @@ def test_verdict_names_the_conditions_that_disagree(both: Comparison, monkeypatc
     signs = {None: 1, "day": 1, "night": -1}
     monkeypatch.setattr(Comparison, "sign", lambda self, other, match=None, condition=None: signs[condition])
     places = "a is better in day (weight 0.75), b is better in night (weight 0.25)"
-    assert f"depends on the condition: {places}" in both.depends("b")
-    assert " in the weighted mean with match view" in both.verdict("b")
+    assert f"depends on the condition: {places}" in depends(both, "b")
+    assert " in the weighted mean with match view" in verdict(both, "b")
 
 
 def test_one_condition_is_the_comparison_without_a_study(alone: list[Comparison], files: list[Path]) -> None:
@@ -91,11 +93,11 @@ def test_one_condition_is_the_comparison_without_a_study(alone: list[Comparison]
         files, study=plan(condition=[{"name": "night", "weight": 7.0, "set": NIGHT}]), match="view", repeats=3, jobs=1
     )
     answers = ("difference", "interval_delta_e", "probability_a_better", "film_delta_e", "scores")
-    expected = {name: alone[1].numbers()[name] for name in answers}
-    assert {name: one.numbers()[name] for name in answers} == expected
+    expected = {name: numbers(alone[1])[name] for name in answers}
+    assert {name: numbers(one)[name] for name in answers} == expected
     of_night = {"scene": {"file": "csf"} | NIGHT["scene"], "camera": NIGHT["camera"], "display": NIGHT["display"]}
     without = pixsim.compare(files, study=plan(**of_night), match="view", repeats=3, jobs=1)
-    assert {name: without.numbers()[name] for name in answers} == expected
+    assert {name: numbers(without)[name] for name in answers} == expected
     assert without.as_dict()["study"] == {"name": "both", "not_used": []}
     assert "conditions" not in without.as_dict()
 

@@ -18,6 +18,8 @@ import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import LENS_HEADER, Tiling, traced_lens
+from pixsim.report.compare import facts, numbers
+from pixsim.report.verdicts import common_words, depends, verdict
 from pixsim.scene.charts import MAX_LP_PER_MM
 from pixsim.sensor.integration import pixels_on
 from pixsim.show.document import DocumentTable
@@ -194,7 +196,7 @@ def test_noise_budget_is_that_of_each_sensor_s_first_frame(tmp_path: Path) -> No
     for sensor in result.sensors:
         assert sensor.budget is not None
         assert sum(sensor.budget.parts.values()) == pytest.approx(sensor.score.mean_delta_e, rel=1e-9)
-        assert sensor.as_dict()["noise_budget"] == sensor.budget.as_dict()
+        assert result.as_dict()["sensors"][sensor.name]["noise_budget"] == sensor.budget.as_dict()
         noise_e.append(sensor.budget.total_e)
     assert noise_e[1] ** 2 - noise_e[0] ** 2 == pytest.approx(30.0**2 - 3.0**2, rel=1e-9)
 
@@ -204,12 +206,12 @@ def test_bursts_and_motion_are_told_of_those_that_have_them(tmp_path: Path) -> N
     burst = sheet(tmp_path / "burst.toml", more="[exposure]\nframes = 4\n")
     motion = {"image_um_per_s": [50.0, 0.0]}
     found = pixsim.compare([burst, sheet(tmp_path / "one.toml")], parameters=DIM, repeats=2, jobs=1, motion=motion, **SMALL)
-    table, *others = found.facts()
+    (table,) = facts(found)
     assert isinstance(table, DocumentTable)
     told = ["each frame the sum of 4 exposures" in str(row) for row in table.rows]
     assert told == [True, False]
     assert not any("the image moves" in str(row) for row in table.rows)
-    assert "each sensor's own exposure rule, the image moves by 50, 0 µm/s" in str(others[-1])
+    assert "each sensor's own exposure rule, the image moves by 50, 0 µm/s" in common_words(found.job)
 
 
 # --- frames and their statistics --------------------------------------------------------------------------------------
@@ -271,7 +273,7 @@ def test_interrupted_comparison_goes_on(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(evaluate_module, "evaluate_task", watched)
     again = pixsim.compare(files, out=tmp_path / "out", **options)
     assert sum(made) == len(lines) - len(lines) // 2
-    assert again.numbers() == whole.numbers()
+    assert numbers(again) == numbers(whole)
     assert results.read_text(encoding="utf-8").splitlines(keepends=True) == lines
 
 
@@ -339,9 +341,9 @@ def test_another_sensor_changes_no_verdict_on_a_pair(tmp_path: Path) -> None:
     alone = pixsim.compare(files, **options)
     among = pixsim.compare([*files, more], **options)
     answers = ("difference", "interval_delta_e", "probability_a_better", "film_delta_e", "displays", "verdicts")
-    assert {name: among.numbers()[name]["b"] for name in answers} == {name: alone.numbers()[name]["b"] for name in answers}
+    assert {name: numbers(among)[name]["b"] for name in answers} == {name: numbers(alone)[name]["b"] for name in answers}
     third = pixsim.compare([files[0], more], **options)
-    assert {name: among.numbers()[name]["third"] for name in answers} == {name: third.numbers()[name]["third"] for name in answers}
+    assert {name: numbers(among)[name]["third"] for name in answers} == {name: numbers(third)[name]["third"] for name in answers}
     assert among.scores["b"] != alone.scores["b"], "they are on one display for all"
 
 
@@ -365,8 +367,8 @@ def test_verdict_says_that_the_match_turns_it(monkeypatch: pytest.MonkeyPatch, n
     signs = {None: 1, "lens": -1}
     monkeypatch.setattr(Comparison, "sign", lambda self, other, match=None, condition=None: signs.get(match, 0))
     monkeypatch.setattr(type(noisy.job), "matches", ("view", "lens"))
-    assert noisy.depends("noisy") == ["depends on the match: noisy is better with match lens"]
-    assert noisy.verdict("noisy").endswith(" with match view; depends on the match: noisy is better with match lens")
+    assert depends(noisy, "noisy") == ["depends on the match: noisy is better with match lens"]
+    assert verdict(noisy, "noisy").endswith(" with match view; depends on the match: noisy is better with match lens")
 
 
 # --- the film's error -------------------------------------------------------------------------------------------------
@@ -467,7 +469,7 @@ def test_comparison_shows_itself_in_a_notebook(noisy: Comparison):
     words = Elements(cell)
     message = "".join(words.words)
     for other in noisy.names[1:]:
-        assert all(part in message for part in noisy.verdict(other).split("; "))
+        assert all(part in message for part in verdict(noisy, other).split("; "))
     assert words.tags.count("tr") == len(noisy.sensors)
     for name, (low, mean, high) in noisy.scores.items():
         assert f"{mean:.4f} ± {(high - low) / 2 + noisy.film_of_sensors[name]:.4f} ΔE" in message
