@@ -115,6 +115,7 @@ PRESENTERS = {
     "Curve": "report.curve",
     "DataSheet": "report.datasheet",
     "EdgeResponse": "report.sfr",
+    "LensData": "report.lens",
     "RunResult": "report.run",
     "ResultsComparison": "report.two_results",
     "Score": "report.score",

@@ -7,7 +7,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from pixsim.base.digits import f_stop
 from pixsim.base.errors import invalid
 from pixsim.base.notes import collected_notes
 from pixsim.base.progress import Stage
-from pixsim.base.tables import plain
+from pixsim.base.result import Result
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
 from pixsim.optics.field_blur import UM_PER_NM, ChannelWavefronts, even_window, fit_wavefronts, periodic_psf
 from pixsim.optics.ghosts import Ghost
@@ -68,12 +68,11 @@ class Spot:
 
 
 @dataclass(frozen=True)
-class LensData:
-    """All numbers of a lens's page.
+class LensData(Result):
+    """First-order data, spots, PSFs, MTFs and curves over the field of a traced lens.
 
     lens : as it is traced
     wavelength_nm : (n,) of equal weight
-    first : first-order data of each wavelength
     field_deg : (F,) of spots, PSFs and MTFs
     spots : one of each field
     psfs : (n, n) of each field; the chief ray of the primary wavelength in the middle
@@ -82,7 +81,6 @@ class LensData:
     geometric : whether aberrations are so large that PSFs and MTFs are those of rays, times the limit of diffraction
     frequency_lp_per_mm : (n,)
     mtf : (F, 2, n), tangential and sagittal
-    rms_waves : (F,), rms wavefront of the primary wavelength without piston and tilt
     curve_deg : (n,) of the curves over the field
     curves : name -> values (n,)
     pitch_um : of the pixel whose Nyquist frequency is looked at
@@ -92,7 +90,6 @@ class LensData:
 
     lens: Lens
     wavelength_nm: Array
-    first: Sequence[FirstOrder]
     field_deg: Array
     spots: Sequence[Spot]
     psfs: Sequence[Array]
@@ -101,12 +98,21 @@ class LensData:
     geometric: bool
     frequency_lp_per_mm: Array
     mtf: Array
-    rms_waves: Array
     curve_deg: Array
     curves: dict[str, Array]
     pitch_um: float | None
     notes: Sequence[str] = ()
     reflectance: float | None = None
+
+    @cached_property
+    def first(self) -> list[FirstOrder]:
+        """First-order data of each wavelength."""
+        return [self.lens.first_order(float(nm)) for nm in self.wavelength_nm]
+
+    @cached_property
+    def rms_waves(self) -> Array:
+        """(F,) rms wavefront of the primary wavelength in waves, without piston and tilt; NaN without light."""
+        return np.where(self.dark, np.nan, rms_wavefronts(self.lens, self.field_deg))
 
     @cached_property
     def ghosts(self) -> list[Ghost]:
@@ -169,47 +175,6 @@ class LensData:
     def height_mm(self) -> Array:
         """Image heights of the fields, (F,)."""
         return np.asarray(self.lens.chief_ray(self.field_deg, self.lens.primary_nm).height_mm)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the numbers for JSON."""
-        lens = self.lens
-        fields = [
-            {
-                "field_deg": float(angle),
-                "height_mm": float(height),
-                "rms_spot_um": spot.rms_um,
-                "rms_wavefront_waves": float(rms),
-                **{name: float(np.interp(angle, self.curve_deg, values)) for name, values in self.curves.items()},
-                "mtf": [
-                    {"lp_per_mm": f, **plain({name: float(self.mtf_at(f)[i, axis]) for axis, name in enumerate(MTF_LINES)})}
-                    for f in self.asked_lp_per_mm
-                ],
-            }
-            for i, (angle, height, spot, rms) in enumerate(
-                zip(self.field_deg, self.height_mm, self.spots, self.rms_waves, strict=True)
-            )
-        ]
-        first = [{"wavelength_nm": float(nm), **vars(each)} for nm, each in zip(self.wavelength_nm, self.first, strict=True)]
-        return {
-            "name": lens.prescription.name,
-            "title": lens.prescription.title,
-            "source": lens.prescription.source,
-            "primary_nm": lens.primary_nm,
-            "max_field_deg": lens.max_field_deg,
-            "object_distance_mm": lens.object_distance_mm if math.isfinite(lens.object_distance_mm) else None,
-            "image_distance_mm": lens.prescription.surfaces[-1].thickness_mm,
-            "stop_semi_diameter_mm": lens.stop_semi_diameter_mm,
-            "working_f_number": lens.working_f_number,
-            "fresnel_transmittance": lens.fresnel_transmittance(lens.primary_nm),
-            "reflectance": self.reflectance,
-            "reflected_twice": [plain(vars(each)) for each in self.ghosts],
-            "pitch_um": self.pitch_um,
-            "mtf_of": "rays times the limit of diffraction" if self.geometric else "waves",
-            "first_order": [plain(each) for each in first],
-            "glasses": [{"name": glass.name, "source": glass.source} for glass in lens.prescription.glasses],
-            "fields": [plain(each) for each in fields],
-            "notes": list(self.notes),
-        }
 
     def __repr__(self) -> str:
         first = self.primary
@@ -288,12 +253,23 @@ def lens_data(
         "sagittal_focus_mm": sagittal,
         "lateral_colour_um": 1e3 * (ends[:, 1] - ends[:, 0]),
     }
-    first = [lens.first_order(float(nm)) for nm in wavelengths]
     return LensData(
-        lens, wavelengths, first, fields, spots, psfs, pitch, dark, geometric, frequency, mtf,
-        np.where(dark, np.nan, rms_wavefronts(lens, fields)), curve,
-        {name: np.asarray(values) for name, values in curves.items()}, pitch_um, notes, reflectance,
-    )  # fmt: skip
+        lens=lens,
+        wavelength_nm=wavelengths,
+        field_deg=fields,
+        spots=spots,
+        psfs=psfs,
+        psf_pitch_um=pitch,
+        dark=dark,
+        geometric=geometric,
+        frequency_lp_per_mm=frequency,
+        mtf=mtf,
+        curve_deg=curve,
+        curves={name: np.asarray(values) for name, values in curves.items()},
+        pitch_um=pitch_um,
+        notes=notes,
+        reflectance=reflectance,
+    )
 
 
 def spot_points() -> tuple[Array, Array]:

@@ -1,22 +1,23 @@
-"""The document of a lens: its numbers as tables and sentences, and its figures with their data."""
+"""The page of a lens: its numbers as tables and sentences, and its figures with their data."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.digits import UNKNOWN, f_stop, number
 from pixsim.base.errors import one_line
-from pixsim.base.tables import Column
+from pixsim.base.tables import Column, plain, rows_csv
 from pixsim.measure.lens import MTF_LINES, LensData, cross_section
 from pixsim.show.document import Answer, Document, DocumentTable, Listed, Plot, Section, made_with
-from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, finish, new_figure, own_style
-from pixsim.show.pages import Plate, coarse_table, figure_files
+from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, finish, new_figure
+from pixsim.show.pages import Drawing, coarse_table, figure, figure_files
+from pixsim.show.presenter import Presenter
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,10 +61,14 @@ def below(figure: Figure, axes: Axes, columns: int) -> None:
     )
 
 
-@own_style()
-def layout(data: LensData) -> Plate:
+@figure(
+    "layout",
+    "Layout with rays of three fields through the centre of the stop, its edges and halfway between. Light travels "
+    "to the right, to the image plane.",
+)
+def layout(data: LensData) -> Drawing:
     """Draw the surfaces and rays of three fields in the y-z plane."""
-    lens, cut = data.lens, cross_section(data.lens)
+    cut = cross_section(data.lens)
     figure, (axes,) = panels_of(1, 4.1, legend_below=True)
     for index, ((z, y), is_glass) in enumerate(zip(cut.surfaces, cut.glass_behind, strict=True)):
         if is_glass and index + 1 < len(cut.surfaces):
@@ -89,19 +94,19 @@ def layout(data: LensData) -> Plate:
     axes.set_aspect("equal", adjustable="datalim")
     finish(axes, "z (mm from the first surface)", "y (mm)", None)
     below(figure, axes, len(cut.rays) + 1)
-    caption = (
-        f"Layout with rays at {lens.primary_nm:.5g} nm, for each field through the centre of the stop, "
-        "its edges and halfway between, but for those that a clear aperture stops. Light travels to the right, to the image plane."
-    )
-    return Plate("layout", caption, figure, dict(table))
+    return figure, table
 
 
 def shown_fields(data: LensData) -> list[int]:
     return [index for index in SHOWN if index < data.field_deg.size]
 
 
-@own_style()
-def spot_plate(data: LensData) -> Plate:
+@figure(
+    "spots",
+    "Spots: where rays meet the image plane, from the chief ray of the primary wavelength; y points away from the "
+    "axis. The circle is the first dark ring of diffraction.",
+)
+def spot_plate(data: LensData) -> Drawing:
     """Draw the spots of some fields on one scale, with the diameter of the Airy disc."""
     shown = shown_fields(data)
     figure, panels = panels_of(len(shown), 2.9, shared=True, legend_below=True)
@@ -126,20 +131,15 @@ def spot_plate(data: LensData) -> Plate:
         axes.set_xlabel("x (µm)")
     panels[0].set(ylabel="y (µm)", xlim=(-1.1 * most, 1.1 * most), ylim=(-1.1 * most, 1.1 * most))
     below(figure, panels[0], 6)
-    caption = (
-        f"Spots: where rays of each wavelength meet the image plane, from the chief ray at {data.lens.primary_nm:.5g} nm; y points "
-        "away from the axis. The circle is the first dark ring of diffraction. Rays that clear apertures stop are left out."
-    )
-    return Plate("spots", caption, figure, dict(table))
+    return figure, table
 
 
-def how(data: LensData) -> str:
-    """Return how PSFs and MTFs were computed, for captions."""
-    return "of rays and the limit of diffraction, since aberrations are large" if data.geometric else "with diffraction"
-
-
-@own_style()
-def psf_plate(data: LensData) -> Plate:
+@figure(
+    "psf",
+    "Point spread functions of the wavelengths together: the square root of the irradiance over its maximum. The "
+    "table has means over blocks.",
+)
+def psf_plate(data: LensData) -> Drawing:
     """Show the point spread functions of some fields on one scale."""
     shown = shown_fields(data)
     largest = max(data.spots[index].rms_um for index in shown if not data.dark[index])
@@ -163,15 +163,11 @@ def psf_plate(data: LensData) -> Plate:
         coarse = coarse_table(cut, f"psf_{data.field_deg[index]:.4g}_deg")
         table |= coarse
     panels[0].set_ylabel("y (µm)")
-    caption = (
-        f"Point spread functions of the {len(data.wavelength_nm)} wavelengths together, {how(data)}; brightness is the square "
-        "root of the irradiance over its maximum. y points away from the axis. The table has means over blocks."
-    )
-    return Plate("psf", caption, figure, table)
+    return figure, table
 
 
-@own_style()
-def mtf_plate(data: LensData) -> Plate:
+@figure("mtf", "MTF of the wavelengths together: tangential (lines across the radius) and sagittal (lines along it).")
+def mtf_plate(data: LensData) -> Drawing:
     """Plot the MTF of some fields against frequency, and the limit of diffraction."""
     figure, (axes,) = panels_of(1, 4.4, legend_below=True)
     figure.subplots_adjust(bottom=0.9 / 4.4 + 0.04)
@@ -193,12 +189,11 @@ def mtf_plate(data: LensData) -> Plate:
     axes.set(xlim=(0, frequency[-1]), ylim=(0, 1.02))
     finish(axes, "frequency (line pairs/mm)", "MTF", None)
     below(figure, axes, 5)
-    caption = f"MTF of the wavelengths together, {how(data)}: tangential (lines across the radius) and sagittal (lines along it)."
-    return Plate("mtf", caption, figure, table)
+    return figure, table
 
 
-@own_style()
-def mtf_over_field(data: LensData) -> Plate:
+@figure("mtf_over_field", "MTF against image height. Solid: tangential; dashed: sagittal.")
+def mtf_over_field(data: LensData) -> Drawing:
     """Plot the MTF at the asked frequencies against image height."""
     figure, (axes,) = panels_of(1, 4.0, legend_below=True)
     figure.subplots_adjust(bottom=0.9 / 4.0 + 0.04)
@@ -217,11 +212,9 @@ def mtf_over_field(data: LensData) -> Plate:
     axes.set_ylim(0, 1.02)
     finish(axes, "image height (mm)", "MTF", None)
     below(figure, axes, len(data.asked_lp_per_mm))
-    caption = "MTF against image height. Solid: tangential; dashed: sagittal."
-    return Plate("mtf_over_field", caption, figure, table)
+    return figure, table
 
 
-@own_style()
 def curve_figure(
     panels: Sequence[tuple[str, Sequence[tuple[str, Array, str]]]], across: tuple[str, Array]
 ) -> tuple[Figure, list[Axes]]:
@@ -235,24 +228,25 @@ def curve_figure(
     return figure, axes_row
 
 
-def curvature_plate(data: LensData) -> Plate:
+@figure(
+    "field_curvature",
+    "Field curvature: foci of rays near the chief ray. Distortion: height of the chief ray against the tangent of the field "
+    "angle times the scale of a very small image.",
+)
+def curvature_plate(data: LensData) -> Drawing:
     """Plot the tangential and sagittal foci and the distortion against the field angle."""
     c = data.curves
     percent = 100 * c["distortion"]
     lines = [("tangential", c["tangential_focus_mm"], "-"), ("sagittal", c["sagittal_focus_mm"], "--")]
     panels = [("focus behind the image plane (mm)", lines), ("distortion (%)", [("", percent, "-")])]
     figure, _ = curve_figure(panels, ("field angle (degrees)", data.curve_deg))
-    caption = (
-        f"Field curvature and distortion at {data.lens.primary_nm:.5g} nm. Left: "
-        "foci of rays near the chief ray. Right: height of the chief ray against tangent times the scale of a very small image in "
-        "the same plane."
-    )
     foci = {name: c[name] for name in ("tangential_focus_mm", "sagittal_focus_mm")}
     table = {"field_deg": data.curve_deg, **foci, "distortion_percent": percent}
-    return Plate("field_curvature", caption, figure, {name: values.tolist() for name, values in table.items()})
+    return figure, table
 
 
-def illumination_plate(data: LensData) -> Plate:
+@figure("illumination", "Relative illumination, and chief ray angle in image space.")
+def illumination_plate(data: LensData) -> Drawing:
     """Plot the relative illumination and the chief ray angle against image height."""
     c = data.curves
     fourth = np.cos(np.radians(data.curve_deg)) ** 4
@@ -260,17 +254,13 @@ def illumination_plate(data: LensData) -> Plate:
     panels = [("relative illumination", light), ("chief ray angle (degrees)", [("", c["chief_ray_angle_deg"], "-")])]
     figure, row = curve_figure(panels, ("image height (mm)", c["image_height_mm"]))
     row[0].set_ylim(0, 1.05)
-    caption = (
-        f"Relative illumination and chief ray angle in image space at {data.lens.primary_nm:.5g} nm. The "
-        "illumination is the area of the directions at the image point whose rays pass the stop and the clear apertures."
-    )
     traced = {name: c[name] for name in ("image_height_mm", "relative_illumination", "chief_ray_angle_deg")}
     table = {"field_deg": data.curve_deg, **traced, "cos4": fourth}
-    return Plate("illumination", caption, figure, {name: values.tolist() for name, values in table.items()})
+    return figure, table
 
 
-@own_style()
-def colour_plate(data: LensData) -> Plate:
+@figure("colour", "Lateral colour of chief rays; axial colour: the paraxial focus of an object at infinity.")
+def colour_plate(data: LensData) -> Drawing:
     """Plot the lateral colour against the field, and the paraxial focus against wavelength."""
     low, high = data.wavelength_nm.min(), data.wavelength_nm.max()
     nm, focus_um = data.axial_colour()
@@ -279,12 +269,13 @@ def colour_plate(data: LensData) -> Plate:
     right.plot(nm, focus_um, color=COLOURS[0], marker="o", markevery=8, ms=4)
     finish(left, "field angle (degrees)", f"height at {high:.4g} minus {low:.4g} nm (µm)")
     finish(right, "wavelength (nm)", f"paraxial focus from that at {data.lens.primary_nm:.4g} nm (µm)")
-    caption = "Lateral colour of chief rays, and axial colour: the paraxial focus of an object at infinity."
-    longest = max(nm.size, data.curve_deg.size)
-    columns = {"field_deg": data.curve_deg, "lateral_colour_um": data.curves["lateral_colour_um"], "wavelength_nm": nm,
-               "focus_um": focus_um}  # fmt: skip
-    table = {name: values.tolist() + [math.nan] * (longest - values.size) for name, values in columns.items()}
-    return Plate("colour", caption, figure, table)
+    columns = {
+        "field_deg": data.curve_deg,
+        "lateral_colour_um": data.curves["lateral_colour_um"],
+        "wavelength_nm": nm,
+        "focus_um": focus_um,
+    }
+    return figure, columns
 
 
 # The document ----------------------------------------------------------------------------------------------------------------
@@ -293,37 +284,93 @@ UNBROKEN = str.maketrans(" -", "\u00a0\u2011")  # a number and its name stay on 
 
 
 def lens_document(data: LensData) -> Document:
-    """Return the answer of `pixsim lens`: the numbers of a lens, its figures and its prescription."""
+    """Return the page of a lens: its layout, first-order data and fields, further figures, and its prescription."""
     lens, prescription = data.lens, data.lens.prescription
-    first_order, fields = first_order_table(data), field_table(data)
     over_field = (mtf_over_field, curvature_plate, illumination_plate) if data.field_deg.size > 1 else ()
-    drawing, *others = (Plot(partial(make, data)) for make in (layout, spot_plate, psf_plate, mtf_plate, *over_field, colour_plate))
+    figures = spot_plate, psf_plate, mtf_plate, *over_field, colour_plate
     wavelengths = ", ".join(f"{nm:.5g}" for nm in data.wavelength_nm)
-    traced = f"Spots and MTF are of {wavelengths} nm with equal weights, all else of {lens.primary_nm:.5g} nm."
-    reflected = f"uncoated surfaces would reflect {data.loss_percent:.3g} % of the light on the axis"
+    limits = "rays times the limit of diffraction, since aberrations are large" if data.geometric else "waves"
+    traced = f"Spots, PSFs and MTFs are of {wavelengths} nm with equal weights, all else of {lens.primary_nm:.5g} nm."
+    computed = f"{traced} PSFs and MTFs are those of {limits}. The rms wavefront is without tilt."
     source = f"Source: {prescription.source or 'not stated'}. Radius of the stop: {lens.stop_semi_diameter_mm:.6g} mm."
     glasses = (
         *(f"glass {glass.name}: {glass.source}" for glass in prescription.glasses),
-        f"{reflected}; camera.transmittance is what counts",
+        f"uncoated surfaces would reflect {data.loss_percent:.3g} % of the light on the axis; camera.transmittance is what counts",
         *ghost_words(data),
     )
     return Document(
         command="lens",
         kind="lens",
         title=prescription.name,
-        data=data.as_dict(),
+        data=lens_values(data),
         answers=(Answer(title_of(data), (prescription.title,), named=True),),
-        lead=data.notes,
+        lead=(Plot(partial(layout, data)), *data.notes),
         sections=(
-            Section("drawing", "Layout", (drawing,)),
-            Section("first-order", "First-order data", (first_order,), brief=True),
-            Section("fields", "Fields", (fields, f"{traced} The rms wavefront is without tilt."), brief=True),
-            Section("glasses", "Glasses", (Listed(glasses),), brief=True),
-            *([Section("reflections", "Reflected twice", (ghost_table(data),))] if data.ghosts else []),
-            Section("figures", "Figures", others),
-            Section("prescription", "Prescription", (surface_table(data), source, made_with())),
+            Section("first-order", "First-order data", (first_order_table(data),), brief=True),
+            Section("fields", "Fields", (field_table(data), computed), brief=True),
+            Section("figures", "Figures", [Plot(partial(draw, data)) for draw in figures]),
+            Section("glasses", "Glasses", (Listed(glasses),), folded=True, brief=True),
+            Section("reflections", "Reflected twice", (ghost_table(data),) if data.ghosts else (), folded=True),
+            Section("prescription", "Prescription", (surface_table(data), source, made_with()), folded=True),
         ),
     )
+
+
+def lens_values(data: LensData) -> dict[str, Any]:
+    """Return summary.json."""
+    lens = data.lens
+    first = [{"wavelength_nm": float(nm), **vars(order)} for nm, order in zip(data.wavelength_nm, data.first, strict=True)]
+    return {
+        "name": lens.prescription.name,
+        "title": lens.prescription.title,
+        "source": lens.prescription.source,
+        "primary_nm": lens.primary_nm,
+        "max_field_deg": lens.max_field_deg,
+        "object_distance_mm": lens.object_distance_mm if math.isfinite(lens.object_distance_mm) else None,
+        "image_distance_mm": lens.prescription.surfaces[-1].thickness_mm,
+        "stop_semi_diameter_mm": lens.stop_semi_diameter_mm,
+        "working_f_number": lens.working_f_number,
+        "fresnel_transmittance": lens.fresnel_transmittance(lens.primary_nm),
+        "reflectance": data.reflectance,
+        "reflected_twice": [plain(vars(ghost)) for ghost in data.ghosts],
+        "pitch_um": data.pitch_um,
+        "mtf_of": "rays times the limit of diffraction" if data.geometric else "waves",
+        "first_order": [plain(order) for order in first],
+        "glasses": [{"name": glass.name, "source": glass.source} for glass in lens.prescription.glasses],
+        "fields": [
+            plain(field) | {"mtf": [{"lp_per_mm": frequency} | plain(mtf) for frequency, mtf in mtfs.items()]}
+            for field, mtfs in zip(field_values(data), field_mtfs(data), strict=True)
+        ],
+        "notes": [note.as_dict() for note in data.notes],
+    }
+
+
+def field_values(data: LensData) -> list[dict[str, float]]:
+    """Return what rays and waves of each field do, by names with units."""
+    values = zip(data.field_deg.tolist(), data.height_mm.tolist(), data.spots, data.rms_waves.tolist(), strict=True)
+    return [
+        {"field_deg": angle, "height_mm": height, "rms_spot_um": spot.rms_um, "rms_wavefront_waves": rms}
+        | {name: float(np.interp(angle, data.curve_deg, curve)) for name, curve in data.curves.items()}
+        for angle, height, spot, rms in values
+    ]
+
+
+def field_mtfs(data: LensData) -> list[dict[float, dict[str, float]]]:
+    """Return the tangential and sagittal MTF of each field by frequency in lp/mm."""
+    mtfs = {frequency: data.mtf_at(frequency) for frequency in data.asked_lp_per_mm}
+    return [
+        {frequency: dict(zip(MTF_LINES, mtf[field].tolist(), strict=True)) for frequency, mtf in mtfs.items()}
+        for field in range(data.field_deg.size)
+    ]
+
+
+def lens_csv(data: LensData) -> str:
+    """Return a row for each field as CSV."""
+    rows = [
+        field | {f"mtf_{line}_{frequency:.4g}_lp_per_mm": mtf[line] for frequency, mtf in mtfs.items() for line in MTF_LINES}
+        for field, mtfs in zip(field_values(data), field_mtfs(data), strict=True)
+    ]
+    return rows_csv(rows)
 
 
 def title_of(data: LensData) -> str:
@@ -356,15 +403,18 @@ def field_table(data: LensData) -> DocumentTable:
     """Return what rays and waves of each field do."""
     units = {"field": "°", "height": "mm", "chief ray": "°", "distortion": "%", "illumination": "", "spot": "µm rms",
              "wavefront": "waves rms"} | {f"MTF {f:.4g}/mm": "t / s" for f in data.asked_lp_per_mm}  # fmt: skip
-    rows = tuple(
+    rows = [
         (
-            f"{each['field_deg']:.4g}", f"{each['height_mm']:.4g}", f"{each['chief_ray_angle_deg']:.4g}",
-            f"{100 * each['distortion']:.3g}", f"{each['relative_illumination']:.3f}",
-            *(number(each[name], 3) for name in ("rms_spot_um", "rms_wavefront_waves")),
-            *(UNKNOWN if dark else f"{mtf['tangential']:.2f} / {mtf['sagittal']:.2f}" for mtf in each["mtf"]),
+            f"{field['field_deg']:.4g}",
+            f"{field['height_mm']:.4g}",
+            f"{field['chief_ray_angle_deg']:.4g}",
+            f"{100 * field['distortion']:.3g}",
+            f"{field['relative_illumination']:.3f}",
+            *(number(field[name], 3) for name in ("rms_spot_um", "rms_wavefront_waves")),
+            *(UNKNOWN if dark else f"{mtf['tangential']:.2f} / {mtf['sagittal']:.2f}" for mtf in mtfs.values()),
         )
-        for each, dark in zip(data.as_dict()["fields"], data.dark, strict=True)
-    )  # fmt: skip
+        for field, mtfs, dark in zip(field_values(data), field_mtfs(data), data.dark, strict=True)
+    ]
     caption = "Real rays; MTF tangential / sagittal (t / s)"
     return DocumentTable("fields", tuple(f"{name}\n{unit}" for name, unit in units.items()), rows, caption)
 
@@ -426,3 +476,6 @@ def surface_table(data: LensData) -> DocumentTable:
         ))  # fmt: skip
     caption = "Surfaces in the order of the light; the last thickness leads to the image plane"
     return DocumentTable("prescription", head, rows, caption)
+
+
+PRESENTER = Presenter(document=lens_document, figure=layout, csv=lens_csv)

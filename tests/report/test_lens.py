@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import itertools
 import json
 from pathlib import Path
@@ -48,6 +50,14 @@ def test_mtf50_is_where_the_lower_mtf_falls_below_one_half() -> None:
         place = data.frequency_lp_per_mm.tolist().index(end_lp_per_mm)
         assert (lower[:place] >= 0.5).all()
         assert lower[place] < 0.5
+
+
+def test_csv_has_a_row_for_each_field() -> None:
+    data = triplet()
+    rows = list(csv.DictReader(io.StringIO(data.to_csv())))
+    fields = data.as_dict()["fields"]
+    assert [float(row["rms_spot_um"]) for row in rows] == [field["rms_spot_um"] for field in fields]
+    assert [float(row["mtf_sagittal_30_lp_per_mm"]) for row in rows] == [field["mtf"][1]["sagittal"] for field in fields]
 
 
 def test_json_has_no_nan_and_options_change_the_lens(tmp_path: Path) -> None:
