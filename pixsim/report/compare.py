@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.digits import rounded, span
+from pixsim.base.digits import exposure_time, probability, rounded, span
 from pixsim.base.files import check_replaceable
 from pixsim.base.machine import processors
 from pixsim.base.notes import Note
@@ -39,7 +39,6 @@ from pixsim.report.verdicts import (
     sensor_words,
     shared_stages,
     shown_mean,
-    shown_probability,
     unconverged,
     verdict,
 )
@@ -371,8 +370,8 @@ def facts(result: Comparison) -> Iterator[Block]:
     first, *others = asked_metrics(result.job)
     rows, shared = [], shared_stages(result.shown)
     for sensor in result.sensors:
-        time_ms = 1e3 * sensor.score.frame.integration_s
-        words = f"{sensor_words(sensor.case)}, exposed for {time_ms:.3g} ms{where}"
+        time = exposure_time(sensor.score.frame.integration_s)
+        words = f"{sensor_words(sensor.case)}, exposed for {time}{where}"
         stages = [stage for stage in stage_words(sensor.case.settings) if stage not in shared]
         mean = shown_mean(result, sensor.name) if first.is_delta_e else metric_mean(result, sensor.name, first)
         rows.append((sensor.name, f"mean {mean}", ", ".join([words, *stages])))
@@ -648,7 +647,7 @@ def _detail(result: Comparison, end: float) -> Section:
 def _numbers(result: Comparison) -> DocumentTable:
     """Return the numbers of each sensor in the shown group."""
     condition = result.shown.first.condition or None
-    head = ["sensor", "pixels", "pitch (µm)", "lens", "exposure (ms)", "mean electrons", "full well", "saturated"]
+    head = ["sensor", "pixels", "pitch (µm)", "lens", "exposure", "mean electrons", "full well", "saturated"]
     rows = [list(_row(sensor)) for sensor in result.sensors]
     if judged_by_delta_e(result.job):
         head[1:1] = ["mean ΔE", "99th percentile"]
@@ -676,7 +675,7 @@ def _differences(result: Comparison, metric: Metric) -> DocumentTable:
             ):
                 pairs = case.pairs(other, metric, match=match, condition=condition)
                 words = [case.case.words, condition or ("weighted mean" if conditions else ""), f"match {match}"]
-                cells = (*difference_cells(pairs.difference, pairs.interval), shown_probability(pairs.probability_a_better))
+                cells = (*difference_cells(pairs.difference, pairs.interval), probability(pairs.probability_a_better, pairs.a.size))
                 film = (film_cell(case.film_of_pair(other, match, condition)),) if metric.is_delta_e else ()
                 rows.append((", ".join(filter(None, words)), pair, *cells, *film))
             for display in case.display_differences(other)[1:] if metric.is_delta_e else ():
@@ -707,7 +706,7 @@ def _row(sensor: ComparedSensor) -> tuple[str, ...]:
         f"{columns} × {rows}",
         f"{pixel.pitch_um:g}",
         sensor.case.camera.lens_words,
-        f"{1e3 * statistics['integration_s']:.3g}",
+        exposure_time(statistics["integration_s"]),
         rounded(statistics["mean_electrons_e"], 4),
         rounded(statistics["full_well_e"], 4),
         f"{100 * statistics['saturated_fraction']:.2g} %",

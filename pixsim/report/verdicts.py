@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from pixsim.base.digits import with_error
+from pixsim.base.digits import exposure_time, probability, with_error
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.notes import Note
 from pixsim.sensor.labels import label_of
@@ -22,9 +22,6 @@ from pixsim.viewer.metric_registry import metrics_named
 from pixsim.viewer.metrics import DELTA_E, Metric
 from pixsim.viewer.score import noise_error_and_limit, unmet
 from pixsim.viewer.setting import Run
-
-SURE = 0.999  # probabilities beyond it are not shown in more digits
-
 
 # --- verdicts ---------------------------------------------------------------------------------------------------------------------
 
@@ -64,7 +61,7 @@ def metric_verdict(result: Comparison, other: str, metric: Metric) -> str:
     better, worse = (first, other) if worse_by >= 0 else (other, first)
     chance = pairs.probability_a_better
     size = f"{with_error(abs(difference), pairs.half_width)} {metric.unit}".rstrip()
-    how = f"{size} in {metric.words} (probability {shown_probability(max(chance, 1 - chance))})"
+    how = f"{size} in {metric.words} (probability {probability(max(chance, 1 - chance), pairs.a.size)})"
     if abs(difference) <= pairs.half_width:
         return f"{first} and {other} cannot be told apart: {better} is better by {how}{_conditions(result)}"
     return f"{better} is better than {worse} by {how}{_conditions(result)}"
@@ -150,7 +147,7 @@ def verdict_words(stated: DisplayDifference, pairs: Pairs) -> str:
         return f"{first} and {other} have the same mean ΔE in every pair of frames"
     better, worse = (first, other) if difference >= 0 else (other, first)
     chance = pairs.probability_a_better
-    of_better = shown_probability(chance if difference >= 0 else 1 - chance)
+    of_better = probability(chance if difference >= 0 else 1 - chance, pairs.a.size)
     if stated.is_hidden_by_film:
         size = shown_delta_e(abs(difference), stated.half_delta_e, 0.0)
         film = f"the film's error of {stated.film_delta_e:.1g} ΔE"
@@ -172,19 +169,6 @@ def shown_delta_e(value: float, half: float, film: float | None) -> str:
     """
     unknown = " and the film's error, which is unknown" if film is None else ""
     return f"{with_error(value, half + (film or 0.0))} ΔE{unknown}"
-
-
-def shown_probability(probability: float) -> str:
-    """Return a probability as text: .93, > .999, < .001.
-
-    >>> [shown_probability(p) for p in (0.5, 0.93, 0.99961, 1.0, 0.0)]
-    ['.5', '.93', '> .999', '> .999', '< .001']
-    """
-    if probability > SURE:
-        return "> .999"
-    if probability < 1 - SURE:
-        return "< .001"
-    return f"{probability:.3f}".rstrip("0").removeprefix("0")
 
 
 def shown_mean(result: Comparison, name: str, condition: str | None = None) -> str:
@@ -284,10 +268,10 @@ def exposure_words(group: SensorGroup) -> str:
         return ", ".join(["each sensor's own exposure rule", *stages])
     exposure = exposures[0]
     if exposure.integration_s is not None:
-        words = f"each exposed for {1e3 * exposure.times * exposure.integration_s:.3g} ms"
+        words = f"each exposed for {exposure_time(exposure.times * exposure.integration_s)}"
     else:
-        longest_ms = 1e3 * exposure.times * exposure.max_integration_s
-        words = f"each exposed to {100 * exposure.well_target:.3g} % of its own well, at most {longest_ms:.3g} ms"
+        longest = exposure_time(exposure.times * exposure.max_integration_s)
+        words = f"each exposed to {100 * exposure.well_target:.3g} % of its own well, at most {longest}"
     return ", ".join([words, *stages])
 
 
