@@ -25,7 +25,7 @@ from helpers.processes import HANG_S
 from helpers.tiny import lit_sensors, tiny
 
 import pixsim
-from pixsim.base.cache import ENTRY, VALUE, entry_label
+from pixsim.base import cache
 from pixsim.base.errors import PixsimError
 from pixsim.scene.convergence import render_until
 from pixsim.scene.guard import tracer
@@ -312,10 +312,10 @@ def test_damaged_verdict_is_tried_again(machine: Machine, tmp_path: Path):
         graphics.verdict()
     (entry,) = (tmp_path / "cache" / graphics.KIND).iterdir()
     for damage in ("{", "[]", '{"fault": 3}', '{"fault": null, "card": 3}', '{"fault": null, "tried_s": "soon"}'):
-        entry.write_text(f'{{"{ENTRY}": "{entry_label(graphics.KIND, entry.stem)}", "{VALUE}": {damage}}}')
+        entry.write_text(cache._json_entry(graphics.KIND, entry.stem, damage))
         with pytest.warns(UserWarning, match="is damaged|passed"):
             assert graphics.verdict().fault is None
-    assert json.loads(entry.read_text())[VALUE]["fault"] is None
+    assert json.loads(entry.read_text())["value"]["fault"] is None
 
 
 def test_doctor_tries_again(machine: Machine):
