@@ -21,7 +21,7 @@ from pixsim.report.study_facts import study_notes
 from pixsim.report.wording import DELTA_E, film_words, rendered_words
 from pixsim.show.document import Block, Document, DocumentTable, Fact, Link, Listed, Plot, Section, made_with, pairs
 from pixsim.show.pages import Figures, Plate, figure_files
-from pixsim.show.presenter import PageRequest, Presenter
+from pixsim.show.presenter import PageOptions, Presenter
 from pixsim.studies.claims import Verdict, verdicts
 from pixsim.studies.design import BASE, Case, cases_of
 from pixsim.studies.engine import Workers
@@ -254,10 +254,10 @@ def result_document(result: StudyResult) -> Document:
     return study_document(result)
 
 
-def result_page(result: StudyResult, request: PageRequest) -> Document:
+def result_page(result: StudyResult, options: PageOptions) -> Document:
     """Return the document of any study with its page and all other files."""
     regrets = condition_regrets(result.study, result.curves)
-    return study_report(result, regrets, dict(request.seconds), figures=request.figures)
+    return study_report(result, regrets, dict(options.seconds), figures=options.figures)
 
 
 def result_csv(result: StudyResult) -> str:

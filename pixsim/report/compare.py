@@ -76,7 +76,7 @@ from pixsim.show.pictures import (
     window_at,
     worst_window,
 )
-from pixsim.show.presenter import PageRequest, Presenter
+from pixsim.show.presenter import PageOptions, Presenter
 from pixsim.show.render import PAGE
 from pixsim.show.sentences import setting_value
 from pixsim.studies.comparison import ComparedSensor, Comparison, DisplayDifference
@@ -761,8 +761,8 @@ def _settings(result: Comparison) -> Iterator[DocumentTable]:
         yield settings_table(f"condition {condition.name}", rows)
 
 
-def _page(result: Comparison, request: PageRequest) -> Document:
-    return comparison_page(result, request.folder)
+def _page(result: Comparison, options: PageOptions) -> Document:
+    return comparison_page(result, options.folder)
 
 
 PRESENTER = Presenter(document=comparison_document, figure=scores_plate, csv=comparison_csv, page=_page)

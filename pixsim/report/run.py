@@ -66,7 +66,7 @@ from pixsim.show.document import (
 )
 from pixsim.show.pages import Plate, figure_files
 from pixsim.show.pictures import Picture, delta_e_png, display_codes, factor_for, light_png, reduced, scale, scale_end, worst_window
-from pixsim.show.presenter import PageRequest, Presenter
+from pixsim.show.presenter import PageOptions, Presenter
 from pixsim.show.render import PAGE
 from pixsim.studies.files import scene_table, settings_text
 from pixsim.studies.merit import LightLevel, detail_terms, extent, quanta_of_run
@@ -689,8 +689,8 @@ def write_numbers(
         frame_done(number)
 
 
-def _page(result: RunResult, request: PageRequest) -> Document:
+def _page(result: RunResult, options: PageOptions) -> Document:
     return run_page(result)
 
 
-PRESENTER = Presenter(document=run_document, figure=run_plate, csv=run_csv, page=_page)
+PRESENTER = Presenter(document=run_document, figure=run_plate, csv=run_csv, page=_page, has_figures=False)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class PageRequest:
+class PageOptions:
     """How the page of a result is written.
 
     folder : that will hold it
@@ -40,12 +40,14 @@ class Presenter:
     figure : the figure that answers what was asked
     csv : its numbers as CSV
     page : the document of its page, where that takes longer than `document` or depends on how it is written
+    has_figures : whether its page has figures, of which a PDF can be written
     """
 
     document: Callable[[Any], Document]
     figure: Callable[[Any], Plate]
     csv: Callable[[Any], str]
-    page: Callable[[Any, PageRequest], Document] | None = None
+    page: Callable[[Any, PageOptions], Document] | None = None
+    has_figures: bool = True
 
     def plot(self, result: object) -> Figure:
         """Return the figure of a result."""
@@ -55,13 +57,13 @@ class Presenter:
         self, result: object, folder: str | os.PathLike[str], figures: Figures = "svg", seconds: Mapping[str, float] | None = None
     ) -> Path:
         """Write the files of a result, and return the path of its page; the arguments are those of `Result.write`."""
-        request = PageRequest(Path(folder), figures, seconds or {})
+        options = PageOptions(Path(folder), figures, seconds or {})
+        if figures != "svg" and not self.has_figures:
+            got = f"'{figures}' for a {type(result).__name__}"
+            raise invalid("figures", got, "'svg', since it has pictures and no figures")
         with output_folder(folder):  # one that cannot be written fails before figures are drawn
-            document = self.document(result) if self.page is None else self.page(result, request)
-            if figures != "svg" and not document.plots:
-                got = f"'{figures}' for a {type(result).__name__}"
-                raise invalid("figures", got, "'svg', since it has pictures and no figures")
-            return write(document, request.folder, {"seconds": dict(seconds)} if seconds else {}, figures)
+            document = self.document(result) if self.page is None else self.page(result, options)
+            return write(document, options.folder, {"seconds": dict(seconds)} if seconds else {}, figures)
 
     def cell(self, result: object) -> str:
         """Return the cell of a notebook."""

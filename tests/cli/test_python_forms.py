@@ -12,6 +12,7 @@ from pydantic import BaseModel
 
 import pixsim
 from pixsim.base.caller import OPTIONS
+from pixsim.base.result import Result
 from pixsim.cli.commands import app
 from pixsim.studies.settings import Study
 from pixsim.viewer.setting import Run
@@ -31,10 +32,10 @@ RENAMED = {option.replace("-", "_"): name for name, option in OPTIONS.items()}
 RENAMED |= {"define": "parameters", "linear": "parameters", "yes": "agreed"}
 FOR_THE_TERMINAL = {
     "json": "the result has `as_dict`",
-    "out": "the result is written where one likes, by `write` or `pixsim.write_report`; tested below",
+    "out": "the result is written where one likes, by `write`; tested below",
     "raw": "`pixsim.write_frame` writes the frame of `result.score` in any of its formats",
     "irradiance": "`pixsim.write_exr` writes `result.irradiance`, or what its `box_reduced` returns",
-    "figures": "an argument of `write` and of `pixsim.write_report`; tested below",
+    "figures": "an argument of `write`",
     "dry_run": "tells a person what a command would take, before it begins",
 }
 
@@ -61,10 +62,8 @@ def test_every_result_can_be_shown_and_written(command: str) -> None:
     function, _ = FUNCTIONS[command]
     for name in function.__annotations__["return"].split(" | "):
         kind = vars(sys.modules[function.__module__])[name]
-        assert callable(kind.as_dict)
-        assert hasattr(kind, "write") or name in pixsim.write_report.__annotations__["result"]
-        if "figures" in options_of(command):
-            assert "figures" in inspect.signature(getattr(kind, "write", pixsim.write_report)).parameters
+        assert issubclass(kind, Result)
+        assert kind.__name__ in pixsim.PRESENTERS
 
 
 def test_exceptions_are_needed() -> None:
