@@ -453,7 +453,7 @@ def next_where_open(fit: FittedCurve, sensors: dict[float, int], started: int, m
 
     started : evaluations before any was added
     """
-    if None not in fit.optimum.interval_um:
+    if None not in fit.look_interval_um:
         return sensors
     more = next_sensors(fit, sensors, max_sensors)
     limit = started + (MAX_OPEN if fit.optimum.inside else MAX_OPEN // 3)
@@ -469,7 +469,7 @@ def next_near_best(fit: FittedCurve, sensors: dict[float, int], sizes: int) -> d
     sizes : pitches before any was added
     """
     best = fit.optimum
-    low_um, high_um = best.interval_um
+    low_um, high_um = fit.look_interval_um
     if low_um is None or high_um is None or best.between_sizes_share < MIN_BETWEEN:
         return sensors
     if high_um - low_um <= 2 * NEAR_BEST * best.pitch_um or len(sensors) >= sizes + MAX_NEAR_BEST:
@@ -494,7 +494,7 @@ def next_near_best(fit: FittedCurve, sensors: dict[float, int], sizes: int) -> d
 def additions(fit: FittedCurve, sensors: dict[float, int], max_sensors: int) -> dict[float, int]:
     """Return the candidate additions, {µm: new number of sensors}: pitches up to `BEYOND` outside the interval, and midpoints."""
     pitches_um = np.array(sorted(sensors))
-    low, high = fit.optimum.interval_um
+    low, high = fit.look_interval_um
     first = 0 if low is None else max(0, int(np.searchsorted(pitches_um, low)) - BEYOND)
     stop = pitches_um.size if high is None else int(np.searchsorted(pitches_um, high, side="right")) + BEYOND
     near = pitches_um[first:stop]
@@ -515,7 +515,7 @@ def predicted_variance(fit: FittedCurve, sensors: dict[float, int]) -> float:
     best = fit.likeliest
     noise = np.array([fit.loud.get(um, fit.noise) for um in pitches_um.tolist()])
     design = replace(best.design, u=u, noise=noise * noise_scale(mean, fit.logarithmic), sensors=counts)
-    low, high = fit.optimum.interval_um
+    low, high = fit.look_interval_um
     ends = np.array([pitches_um[0] if low is None else low, fit.optimum.pitch_um, pitches_um[-1] if high is None else high])
     fit_of_design = Posterior(design, best.stiffness, best.residual, np.zeros(u.size), best.ripple)
     return rise_variance(fit_of_design, fit.places_of(ends))

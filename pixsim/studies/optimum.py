@@ -48,6 +48,11 @@ from pixsim.viewer.metrics import Metric
 
 NO_VISIBLE_DELTA_E = 0.05  # of mean ΔE between two pixel sizes
 CONFIDENCE = 0.95
+# Of an interval beside an end of the sizes. A study adds sensors until the end is closed, and so stops where noise closes it: an
+# interval of 95 % at a single look then holds less often. Intervals of ± 2.485 standard errors hold at all of 7 looks with 95 %,
+# and at one look with this (S. J. Pocock, Biometrika 64 (1977) 191; repeated confidence intervals: C. Jennison and B. W. Turnbull,
+# J. R. Stat. Soc. B 51 (1989) 305).
+LOOK_CONFIDENCE = 0.987
 # Stiffness k in units of the mean ΔE: dense sweeps of ΔE gave 0.2 to 3.2 (tests/data/dense_sweeps), and a parabola has none.
 # Its prior and that of the ripples were chosen for the coverage in docs/uncertainty.md.
 STIFFNESS = np.geomspace(1e-3, 32.0, 14)
@@ -84,7 +89,9 @@ class Optimum:
     interval_um : (low, high), 95 % interval of the pitch of minimum expected ΔE. docs/uncertainty.md has the share of simulated
         studies in which it held the minimum. Where the curve may not be smooth it holds also all places where a convex curve could
         be least; at a sharp corner, fewer than 11 sizes contain the minimum less often. It is never shorter than ± 0.75 % of the
-        pitch. None for an open end: the minimum may lie at or beyond the smallest or largest pitch tried
+        pitch. None for an open end: the minimum may lie at or beyond the smallest or largest pitch tried. Beside such an end,
+        where it would be open at `LOOK_CONFIDENCE`, the interval is of that confidence, so that it holds at all looks of a study
+        that adds sensors until it is closed
     mean_delta_e : of the fitted curve at `pitch_um`
     mean_delta_e_interval : 95 % interval of the least expected ΔE
     inside : whether the minimum lies between the smallest and the largest pitch tried, not at one of them
@@ -156,6 +163,8 @@ class FittedCurve:
     scale : unit of ΔE in the design
     logarithmic : whether the design is that of the logarithm of ΔE
     width_um : photodiode width as a function of the pitch; by default proportional to it
+    look_interval_um : (low, high) of `CONFIDENCE` at this look alone, by which further sizes and sensors are chosen; else as the
+        interval of the optimum
     """
 
     pitch_um: Array = field(repr=False)
@@ -168,6 +177,7 @@ class FittedCurve:
     loud: dict[float, float] = field(repr=False)
     scale: float = field(repr=False)
     logarithmic: bool = field(repr=False)
+    look_interval_um: tuple[float | None, float | None] = field(repr=False)
     width_um: Widths = field(repr=False, default=np.asarray)
 
     def places_of(self, pitch_um: Array) -> Array:
@@ -341,11 +351,6 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
     offsets = np.quantile(drawn, ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2), axis=0) - drawn.mean(axis=0)
     low, high = (data.delta_e_of(centre + np.interp(fine, places, offset)) for offset in offsets)
     best_um = float(np.exp(minima(np.log(fine_um), curve[None])[0])) if inside else float(fine_um[best])
-    tail = (1 - CONFIDENCE) / 2
-    quantiles_um = np.quantile(minima_um, (tail, 1 - tail))
-    shortest_um = best_um * (1 - SHORTEST_HALF), best_um * (1 + SHORTEST_HALF)
-    ends_um = min(quantiles_um[0], shortest_um[0]), max(quantiles_um[1], shortest_um[1])
-    within_range = np.clip(ends_um, pitch_um[0], pitch_um[-1])
     least_low, least_high = float(low[best]), float(high[best])
     if data.logarithmic:
         # The least value of a fit is too low: about as much as the least value of a curve drawn from it is below its own.
@@ -358,18 +363,30 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
     has_flank = mean[max(0, tried - 1) : tried + 2].max() > FLANK * mean[tried]
     is_sharp = slopes and (has_flank or curve[best] < (1 - DIP) * mean[tried] or not sharpest[0] <= fine_um[best] <= sharpest[1])
     if is_sharp:
-        ends_um = min(within_range[0], sharpest[0]), max(within_range[1], sharpest[1])
-        within_range = np.clip(ends_um, pitch_um[0], pitch_um[-1])  # without rounding errors
         least_high = max(least_high, float(mean[tried] + data.ci95[tried]))  # no least value is above that of a size tried
-    ends: list[float | None] = within_range.tolist()
-    for end, lowest in ((0, curves[:, 0]), (1, curves[:, -1])):
-        if not slopes or np.mean(lowest <= curves.min(axis=1)) > tail or (is_sharp and may_be_beyond[end]):
-            ends[end] = None
+    at_an_end = [float(np.mean(lowest <= curves.min(axis=1))) for lowest in (curves[:, 0], curves[:, -1])]
+    is_open = [
+        not slopes or share > (1 - CONFIDENCE) / 2 or (is_sharp and beyond)
+        for share, beyond in zip(at_an_end, may_be_beyond, strict=True)
+    ]
+
+    def interval_of(level: float) -> tuple[float | None, float | None]:
+        """Interval of the minimum's pitch at a confidence."""
+        quantiles_um = np.quantile(minima_um, ((1 - level) / 2, (1 + level) / 2))
+        low_um = min(quantiles_um[0], best_um * (1 - SHORTEST_HALF))
+        high_um = max(quantiles_um[1], best_um * (1 + SHORTEST_HALF))
+        if is_sharp:
+            low_um, high_um = min(low_um, sharpest[0]), max(high_um, sharpest[1])
+        low_um, high_um = np.clip((low_um, high_um), pitch_um[0], pitch_um[-1]).tolist()  # without rounding errors
+        return None if is_open[0] else low_um, None if is_open[1] else high_um
+
+    ends = interval_of(CONFIDENCE)
+    is_beside_an_end = max(at_an_end) > (1 - LOOK_CONFIDENCE) / 2
     within = [close_to_least(fine_um, curve, percent / 100) for percent in (1, 2)]
     low_um, high_um = (limit if end is None else end for end, limit in zip(ends, (pitch_um[0], pitch_um[-1]), strict=True))
     optimum = Optimum(
         pitch_um=best_um,
-        interval_um=(ends[0], ends[1]),
+        interval_um=interval_of(LOOK_CONFIDENCE) if is_beside_an_end else ends,
         mean_delta_e=float(curve[best]),
         mean_delta_e_interval=(least_low, least_high),
         inside=inside,
@@ -382,7 +399,7 @@ def fit_curve(pitch_um: Array, delta_e: Array, width_um: Widths | None = None) -
     relative = np.divide(likeliest.design.noise, scales, out=np.zeros(mean.shape), where=scales != 0)
     noise = float(np.median(relative[~data.loud]))  # equal, but for rounding
     loud = {float(pitch): float(own) for pitch, own in zip(pitch_um[data.loud], relative[data.loud], strict=True)}
-    return FittedCurve(fine_um, curve, low, high, optimum, likeliest, noise, loud, scale, data.logarithmic, width_um)
+    return FittedCurve(fine_um, curve, low, high, optimum, likeliest, noise, loud, scale, data.logarithmic, ends, width_um)
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,11 @@ sensors where its interval has an open end; `loud`, the same where one of the si
 one that agrees with the dots; `fixed` for a curve that falls to the end of the range (`at_the_end`), whose interval must be open;
 and `rounds`, which add pitches and sensors, as a study with target_ci_um does, until the interval is short enough. With --steep
 `fixed` and `rounds` are run for curves with a steep flank, into a file of their own. With --even, sizes are in equal ratios between
-ends that are drawn anew, for metrics without noise, ΔE and known curves, into interval_coverage_even.csv. --beside-an-end prints
-the coverage of studies whose best size is 1.5 % above the smallest possible one, with 12 sizes in equal ratios from there and 3
-sensors, which close an open end by more of them.
+ends that are drawn anew, for metrics without noise, ΔE and known curves, into interval_coverage_even.csv. With --beside-an-end, the
+best size is at most .3, 1 or 2 steps, and up to .25 less, from the smallest or the largest size, into interval_coverage_ends.csv:
+`coverage` counts an open end only within a step of it, `contained` counts any, `open` is the share with an open end on the side of
+the best size. It also prints the coverage of studies whose best size is 1.5 % above the smallest possible one, with 12 sizes in
+equal ratios from there and 3 sensors.
 """
 
 from __future__ import annotations
@@ -35,6 +37,7 @@ from helpers.dense_curves import (
     covers,
     holds,
     simulated,
+    simulated_beside_an_end,
     simulated_even,
     simulation_options,
     truth_of,
@@ -43,7 +46,7 @@ from helpers.dense_curves import (
 from pixsim.studies.optimum import FittedCurve
 
 OUT, OUT_STEEP = (Path(__file__).parents[1] / "data" / f"{name}.csv" for name in ("interval_coverage", "interval_coverage_steep"))
-OUT_EVEN = OUT.with_name("interval_coverage_even.csv")
+OUT_EVEN, OUT_ENDS = (OUT.with_name(f"interval_coverage_{name}.csv") for name in ("even", "ends"))
 EVEN_CURVES = (
     *("information", "information_f8", "detectability", "detectability_f8", "day", "day_f8"),
     *("parabola", "cubic", "powers"),
@@ -51,6 +54,8 @@ EVEN_CURVES = (
 )
 EVEN_EXACT = ("parabola_exact", "cubic_exact", "powers_exact")
 EVEN_PITCHES = (5, 7, 11)
+END_CURVES = ("information", "detectability", "day", "day_f8", "parabola", "cubic", "powers")
+ENDS, STEPS = ("lower", "upper"), (0.3, 1.0, 2.0)
 CURVES = ("chen2000_0.35um", "evening", "flat", "near_an_end", "skewed")
 AT_THE_END = "at_the_end"
 PITCHES, REPEATS = (7, 11, 16, 24), (2, 4, 8)
@@ -132,15 +137,55 @@ def beside_an_end(studies: int) -> str:
     return f"beside an end: {1 - missed / studies:.3f} of {studies} studies"
 
 
+def ends_cell(curve: str, end: str, steps: float, pitches: int, studies: int) -> dict[str, Any]:
+    """Coverage and length of the interval where the best size is some steps from an end of the sizes, with two sensors each."""
+    truth = truth_of(curve)
+    held, contained, is_open, half_um, error_um, added = [], [], [], [], [], []
+    for number in range(studies):
+        study, first = simulated_beside_an_end(curve, number, pitches, end, steps)
+        sensors, fit = study.refined(first, MAX_SENSORS)
+        best, first_um = fit.optimum, np.array(list(first))
+        held.append(holds(best, truth, first_um))
+        contained.append(covers(best, truth, first_um))
+        is_open.append(best.interval_um[ENDS.index(end)] is None)
+        half_um.append(best.half_width_um)
+        error_um.append(abs(best.pitch_um - truth.best_um))
+        added.append(sum(sensors.values()) - sum(first.values()))
+    return {
+        "curve": curve,
+        "end": end,
+        "steps": steps,
+        "pitches": pitches,
+        "studies": studies,
+        "coverage": f"{np.mean(held):.3f}",
+        "contained": f"{np.mean(contained):.3f}",
+        "open": f"{np.mean(is_open):.3f}",
+        "median_half_width_um": f"{np.median(half_um):.4f}",
+        "error_95_um": f"{np.quantile(error_um, 0.95):.4f}",
+        "mean_added": f"{np.mean(added):.1f}",
+    }
+
+
+def ends(studies: int, jobs: int, out: Path) -> None:
+    """Write the table of --beside-an-end and print its pooled coverage."""
+    with parallel_config(backend="loky", n_jobs=jobs, inner_max_num_threads=1):
+        cells = product(END_CURVES, ENDS, STEPS, EVEN_PITCHES)
+        rows = Parallel()(delayed(ends_cell)(*cell, studies) for cell in cells)
+    write_rows(out, rows)
+    for name in ("coverage", "contained"):
+        values = [float(row[name]) for row in rows]
+        print(f"{name}: {np.mean(values):.3f} pooled, {min(values):.3f} to {max(values):.3f}")
+
+
 def even_cell(curve: str, pitches: int, studies: int) -> dict[str, Any]:
     """Coverage and length of the interval for sizes in equal ratios with two sensors each, and more where an end is open."""
     truth = truth_of(curve)
     held, half_um, error_um, share, evaluations = [], [], [], [], []
     for number in range(studies):
-        study, sensors = simulated_even(curve, number, pitches)
-        sensors, fit = study.refined(sensors, MAX_SENSORS)
+        study, first = simulated_even(curve, number, pitches)
+        sensors, fit = study.refined(first, MAX_SENSORS)
         best = fit.optimum
-        held.append(holds(best, truth, np.array(list(sensors))))
+        held.append(holds(best, truth, np.array(list(first))))
         half_um.append(best.half_width_um)
         error_um.append(abs(best.pitch_um - truth.best_um))
         share.append(best.between_sizes_share)
@@ -193,8 +238,9 @@ def pooled(rows: Iterable[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    options = simulation_options(1000, OUT, OUT_STEEP, OUT_EVEN)
+    options = simulation_options(1000, OUT, OUT_STEEP, OUT_EVEN, OUT_ENDS)
     if options.beside_an_end:
+        ends(options.studies, options.jobs, options.out)
         print(beside_an_end(options.studies))
         return
     if options.even:

@@ -52,6 +52,7 @@ WITHOUT_NOISE = ("information", "information_f8", "detectability", "detectabilit
 # The constants of the regression were chosen without these.
 HELD_OUT = tuple(f"{metric}_f{f_number}" for metric in WITHOUT_NOISE[::2] for f_number in ("4", "5_6", "11"))
 EVEN_ENDS_UM, EVEN_ENDS_SPREAD = (1.2, 6.5), 0.2  # ends of sizes in equal ratios, and how far their logarithms are drawn from them
+STEPS_SPREAD = 0.25  # how far the steps between an end of the sizes and the best one are drawn below their number
 # Scatter of a size that agrees with the dots over that of the others: 1.3 to 1.8 % over .2 to .5 % of the mean ΔE.
 LOUD_NOISE = 4.0
 PLACES = 20001  # samples of a curve: steps of 0.01 % of a pitch
@@ -164,6 +165,22 @@ class SimulatedStudy:
         first, last = np.log(EVEN_ENDS_UM) + self.rng.uniform(-EVEN_ENDS_SPREAD, EVEN_ENDS_SPREAD, 2)
         return np.exp(np.linspace(first, last, count))
 
+    def pitches_beside_an_end_um(self, count: int, end: str, steps: float) -> Array:
+        """`count` pitches in equal ratios, of which the best pitch is up to so many steps from the smallest or the largest one.
+
+        The other end is drawn as that of `even_pitches_um`; nearer, if the curve does not reach so many steps beyond the best.
+
+        end : "lower" or "upper"
+        """
+        first, last = self.truth.log_pitch[[0, -1]]
+        sign, limit, far_um = (1, first, EVEN_ENDS_UM[1]) if end == "lower" else (-1, last, EVEN_ENDS_UM[0])
+        best = np.log(self.truth.best_um)
+
+        steps -= self.rng.uniform(0, STEPS_SPREAD)
+        far = np.log(far_um) + self.rng.uniform(-EVEN_ENDS_SPREAD, EVEN_ENDS_SPREAD)
+        step = min(abs(far - best) / (count - 1 - steps), abs(limit - best) / steps)
+        return np.sort(np.exp(best + sign * step * (np.arange(count) - steps)))
+
     def measured(self, sensors: Sensors) -> tuple[Array, Array]:
         """Pitches (P,) and mean ΔE of their sensors (P, R), padded with NaN."""
         for pitch_um, count in sensors.items():
@@ -230,8 +247,20 @@ def simulated_even(name: str, number: int, pitches: int, repeats: int = 2) -> tu
     return study, dict.fromkeys(study.even_pitches_um(pitches).tolist(), repeats)
 
 
+def simulated_beside_an_end(
+    name: str, number: int, pitches: int, end: str, steps: float, repeats: int = 2
+) -> tuple[SimulatedStudy, Sensors]:
+    """The simulated study with a `number` whose best size is some steps from an end of its sizes, and its sensors."""
+    key = [zlib.crc32(f"{name} {end} {steps}".encode()), pitches, repeats, number, 2]
+    study = SimulatedStudy(truth_of(name), np.random.default_rng(key))
+    return study, dict.fromkeys(study.pitches_beside_an_end_um(pitches, end, steps).tolist(), repeats)
+
+
 def holds(optimum: Optimum, truth: Truth, pitch_um: Array) -> bool:
-    """Whether the interval contains the true minimum; an open end counts only within a step of the end of the sizes."""
+    """Whether the interval contains the true minimum; an open end counts only within a step of the end of the sizes.
+
+    pitch_um : the sizes that the study started with, whose ratio is a step
+    """
     low, high = optimum.interval_um
     above = truth.best_um <= pitch_um[1] if low is None else low <= truth.best_um
     below = truth.best_um >= pitch_um[-2] if high is None else truth.best_um <= high
@@ -239,7 +268,7 @@ def holds(optimum: Optimum, truth: Truth, pitch_um: Array) -> bool:
 
 
 def simulation_options(
-    studies: int, out: Path | None, out_steep: Path | None = None, out_even: Path | None = None
+    studies: int, out: Path | None, out_steep: Path | None = None, out_even: Path | None = None, out_ends: Path | None = None
 ) -> argparse.Namespace:
     """Command-line options of a benchmark of simulated studies; with `out_steep`, those of steep curves are a choice."""
     parser = argparse.ArgumentParser()
@@ -249,11 +278,13 @@ def simulation_options(
     if out_steep:
         parser.add_argument("--steep", action="store_true", help="of curves with a steep flank")
         parser.add_argument("--even", action="store_true", help="of sizes in equal ratios, also of metrics without noise")
-        parser.add_argument("--beside-an-end", action="store_true", help="of the best size beside the smallest possible one, alone")
+        parser.add_argument("--beside-an-end", action="store_true", help="of the best size beside the smallest or the largest one")
     options = parser.parse_args()
     if out_steep and options.steep:
         options.out = options.out or out_steep
     elif out_even and options.even:
         options.out = options.out or out_even
+    if out_ends and options.beside_an_end:
+        options.out = options.out or out_ends
     options.out = options.out or out
     return options

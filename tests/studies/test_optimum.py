@@ -447,7 +447,7 @@ def test_fit_curve_interval_coverage_of_even_sizes() -> None:
         half_um, error_um = [], []
         for number in range(EVEN_STUDIES):
             study, sensors = simulated_even(curve, number, pitches)
-            sensors, fit = study.refined(sensors, max_sensors=32)
+            _, fit = study.refined(sensors, max_sensors=32)
             best = fit.optimum
             held[curve] = held.get(curve, 0) + holds(best, study.truth, np.array(list(sensors)))
             half_um.append(best.half_width_um)

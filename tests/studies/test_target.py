@@ -12,8 +12,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from benchmarks.dense_sweeps import beside_an_end as beside_an_end_study
-from helpers.dense_curves import SimulatedStudy, simulated, truth_of
+from helpers.dense_curves import SimulatedStudy, covers, simulated, simulated_beside_an_end, truth_of
 from helpers.tiny import keys, tiny as tiny_study, tiny_toml
+from scipy.special import ndtri
 
 import pixsim
 from pixsim.base.digits import told_apart
@@ -33,7 +34,7 @@ from pixsim.studies.curve import (
     next_where_open,
     predicted_variance,
 )
-from pixsim.studies.optimum import STEEP, FittedCurve, Posterior, fit_curve
+from pixsim.studies.optimum import CONFIDENCE, LOOK_CONFIDENCE, STEEP, FittedCurve, Posterior, fit_curve
 from pixsim.studies.result import StudyResult
 from pixsim.studies.table import Table
 
@@ -133,6 +134,43 @@ def of_exact_values() -> FittedCurve:
     """Two powers of the size, least at 8 µm: half the interval is 3 % of it, all between the sizes."""
     tried_um = np.array(list(START))
     return fit_curve(tried_um, np.repeat(((tried_um / 8) ** -2 + tried_um / 4)[:, None], 2, axis=1))
+
+
+LOOKS = 1 + MAX_OPEN // (ROUND * SENSORS_PER_ADDITION)
+
+
+def test_intervals_of_all_looks_hold_together_with_the_stated_confidence() -> None:
+    """Means of 1, 2, … 7 equal parts of the data, each within its interval of `LOOK_CONFIDENCE`: 95 % of 200 000 studies.
+
+    Four standard errors of that share are .002; the constant has three digits, .0003 of the share.
+    """
+    parts = np.random.default_rng(0).standard_normal((200_000, LOOKS))
+    standardised = np.cumsum(parts, axis=1) / np.sqrt(np.arange(1, LOOKS + 1))
+    within = np.abs(standardised) <= ndtri((1 + LOOK_CONFIDENCE) / 2)
+    assert within.all(axis=1).mean() == pytest.approx(CONFIDENCE, abs=0.0023)
+
+
+def test_intervals_beside_an_end_hold_after_additions() -> None:
+    """The best of 11 sizes of a flat curve lies within .3 steps of the largest one; most intervals are open at first.
+
+    Intervals that hold in 95 % do so in fewer than 35 of 40 studies with a chance of 1.4 %. Those of a single look held in 31.
+    """
+    held = 0
+    for number in range(40):
+        study, sensors = simulated_beside_an_end("day_f8", number, 11, "upper", 0.3)
+        _, fit = study.refined(sensors, max_sensors=32)
+        held += covers(fit.optimum, study.truth, np.array(list(sensors)))
+    assert held >= 35
+
+
+@pytest.mark.parametrize(("least_um", "ratio"), [(8.9, pytest.approx(1, rel=1e-12)), (5.9, pytest.approx(2.485 / 1.960, rel=0.1))])
+def test_interval_of_all_looks_is_that_beside_an_end(least_um: float, ratio: float) -> None:
+    """Upper half of the interval of a nearly normal minimum, over that of one look; a tenth is for its skewness."""
+    scatter = 1 + 0.01 * np.random.default_rng(0).standard_normal((PITCH.size, 2))
+    fit = fit_curve(PITCH, (1 + np.log(PITCH / least_um) ** 2)[:, None] * scatter)
+    assert None not in fit.look_interval_um
+    stated_um, look_um = (ends[1] - fit.optimum.pitch_um for ends in (fit.optimum.interval_um, fit.look_interval_um))
+    assert stated_um / look_um == ratio
 
 
 @pytest.mark.parametrize(("fit", "evaluations"), [(with_an_open_end(), ROUND * SENSORS_PER_ADDITION), (of_exact_values(), 1)])
@@ -259,7 +297,7 @@ def curve_with(fit: FittedCurve, technology: str = "0.35um", half_width_um: floa
     """A curve with that fit; its interval has another half width, where one is given."""
     if half_width_um is not None:
         ends = (8 - half_width_um, 8 + half_width_um) if np.isfinite(half_width_um) else (None, 8.5)
-        fit = replace(fit, optimum=replace(fit.optimum, interval_um=ends))
+        fit = replace(fit, optimum=replace(fit.optimum, interval_um=ends), look_interval_um=ends)
     statistics = {"mean_delta_e": np.full((PITCH.size, 2), 0.5)}
     return Curve(technology, 0.35, PITCH, np.full(PITCH.size, 0.3), statistics, fit)
 
