@@ -170,29 +170,39 @@ def axes_page(
     parts : cases with a page of their own
     """
     pitch_um = np.unique(np.concatenate([curve.pitch_um for curve in result.curves]))
-    figures = [Plot(partial(_numbered_regrets, found, pitch_um, number)) for number, found in enumerate(regrets[:SHOWN_REGRETS], 1)]
-    tables = [table for each in regrets for table in regrets_tables(each)]
-    budgets, header = noise_budgets(result), result.irradiance.header
-    best = (Link("The same with all digits (CSV)", "optima.csv"),)
-    made = f"{result.counts}. Study seed {result.study.seed}; first render: {rendered_words(header)}."
+    alone = alone_plate(result)
+    plots = {
+        "maps": [plot_of(plate) for plate in axis_plates(result)],
+        "alone": [plot_of(alone)] if alone else [],
+        "regrets": [
+            Plot(partial(_numbered_regrets, found, pitch_um, number)) for number, found in enumerate(regrets[:SHOWN_REGRETS], 1)
+        ],
+        "curves": [Plot(lambda: delta_e_against_pitch(result.curves))],
+    }
+    first = next(drawn for drawn in plots.values() if drawn).pop(0)  # the figure that answers what was asked
+
+    tables = [table for found in regrets for table in regrets_tables(found)]
+    brief, header = axes_document(result, regrets), result.irradiance.header
     listed = [
         (Link(case.words or "the study's own settings", f"{case.folder}/report.html"), f": {optimum_line(part.curves[0])}")
         for case, part in parts
     ]
+    best = (Link("The same with all digits (CSV)", "optima.csv"),)
     all_regrets = (Link("The same with all digits (CSV)", REGRETS_FILE),)
+    made = f"{result.counts}. Study seed {result.study.seed}; first render: {rendered_words(header)}."
     return replace(
-        axes_document(result, regrets),
+        brief,
         data=cases_data(result, regrets),
-        about=[_about(result, regrets)],
+        lead=(first, *brief.lead),
         sections=(
-            Section("regrets", "Regrets of the conditions", [*tables, all_regrets, *figures] if regrets else ()),
-            Section("maps", "Along the axes", map(plot_of, axis_plates(result))),
-            Section("alone", "One at a time", [plot_of(plate) for plate in [alone_plate(result)] if plate]),
-            Section("claims", "The paper's statements", _claims(result)),
-            Section("optima", "Optima", [optima_table(result.curves), best]),
-            budgets_section(budgets),
+            Section("maps", "Along the axes", plots["maps"]),
+            Section("alone", "One at a time", plots["alone"]),
+            Section("regrets", "Regrets of the conditions", [*tables, all_regrets, *plots["regrets"]] if regrets else ()),
             Section("cases", "Cases with pictures", [Listed(listed)]),
-            Section("made", "Reproducibility", [made, made_with(pairs("seconds", seconds, 2))]),
+            Section("optima", "Optima", [optima_table(result.curves), best]),
+            Section("claims", "The paper's statements", _claims(result)),
+            budgets_section(noise_budgets(result)),
+            Section("made", "How this was computed", [*_about(result), made, made_with(pairs("seconds", seconds, 2))], folded=True),
         ),
         files={
             "optima.csv": table_csv(optima_columns(result)),
@@ -205,14 +215,14 @@ def _numbered_regrets(regrets: Regrets, pitch_um: Array, number: int) -> Plate:
     return regrets_plate(regrets, pitch_um).named(f"{REGRETS}_{number}")
 
 
-def _about(result: CasesResult, regrets: Sequence[Regrets]) -> str:
+def _about(result: CasesResult) -> list[str]:
     """Return what the numbers of the page mean."""
-    regret = "The regret of a pixel size in a condition is its value there over that of the best size for that condition, less 1. "
-    meaning = f"{DELTA_E} " if result.curves[0].has_delta_e else ""
-    return (
-        f"Each pixel size is simulated on the same die under each of the {result.counts.cases} cases below. {meaning}"
-        f"{regret * bool(regrets)}All cases have the same random numbers, so that they differ by their settings only."
-    )
+    texts = [
+        f"All pixel sizes see the same die under each of the {result.counts.cases} cases. All cases have the same random numbers, "
+        "so that they differ by their settings only. The regret of a pixel size in a condition is its value there over that of the "
+        "best size for that condition, less 1."
+    ]
+    return [*texts, DELTA_E] if result.curves[0].has_delta_e else texts
 
 
 def _claims(result: CasesResult) -> list[Block]:

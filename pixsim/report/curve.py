@@ -15,7 +15,19 @@ from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.tables import Column, table_csv
 from pixsim.report.regret import regrets_data
 from pixsim.report.wording import is_partly_filled
-from pixsim.show.document import Document, DocumentTable, Plot, Section, Strong, Text, has_room, headline, joined, plain_text
+from pixsim.show.document import (
+    Answer,
+    Document,
+    DocumentTable,
+    Plot,
+    Section,
+    Strong,
+    Text,
+    has_room,
+    headline,
+    joined,
+    plain_text,
+)
 from pixsim.show.figures import LOOKS, Look, literal, new_figure
 from pixsim.show.pages import Drawing, figure
 from pixsim.show.presenter import Presenter
@@ -23,7 +35,7 @@ from pixsim.studies.curve import Curve, shown_mean_and_ci95
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
 from pixsim.studies.regret import metric_regrets
 from pixsim.viewer.metrics import DELTA_E
-from pixsim.viewer.score import mean_words, shown_mean
+from pixsim.viewer.score import mean_words, shown_mean, unmet
 from pixsim.viewer.screen import rounded_up
 
 if TYPE_CHECKING:
@@ -32,51 +44,54 @@ if TYPE_CHECKING:
 LEAST_RISE = 0.1  # per cent, of a curve to an end of its range: a fit says no more
 
 
-def optimum_parts(curve: Curve) -> list[Text]:
-    """Return the optimum of a curve with its interval and the sizes within 1 % of its error.
+def optimum_answer(curve: Curve) -> Answer:
+    """Return the optimum of a curve with its interval and the value there; below it, which sizes are nearly as good.
 
-    Where a wide range of sizes shows no visible difference, that range comes first. What the optimum is on other displays follows.
-    The parts are those of a `headline`.
+    Where a wide range of sizes shows no visible difference, the headline is that range.
     """
     first, *others = _optimum_parts(curve)
-    parts: list[Text] = [joined([f"{curve.label}: ", first], ""), curve.case.developed, *others, displays_words(curve)]
-    return [part for part in parts if part]
+    best = headline([joined([f"{curve.label}: ", first], ""), *others])
+    return Answer(best.head, tuple(text for text in (*best.below, *_optimum_details(curve)) if text))
 
 
 def optimum_line(curve: Curve) -> str:
-    """Return `optimum_parts` as one text."""
-    return plain_text(joined(optimum_parts(curve)))
+    """Return `optimum_answer` as one text."""
+    answer = optimum_answer(curve)
+    return plain_text(joined([answer.head, *answer.below]))
 
 
 def _optimum_parts(curve: Curve) -> list[Text]:
-    """Return `optimum_parts` on the chosen display, without the label."""
-    if not curve.judged_by_delta_e:
-        metric, best = curve.metrics[0], curve.optimum
-        value = f"{metric.title} {metric.shown(best.value)}"
-        if best.inside:
-            stated = f"95 %: {interval_words(curve)}; {100 * best.between_sizes_share:.0f} % between sizes"
-            return [("optimal pixel size ", Strong(f"{best.pitch_um:.2f} µm"), f" ({stated}), {value}")]
-        ends = f"no optimum between {curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm"
-        return [ends, f"the best is {best.pitch_um:.2f} µm, the end of the range (95 %: {interval_words(curve)}), {value}"]
-    best, interval = curve.optimum, f"95 %: {interval_words(curve)}"
-    within = f"within 1 % of it: {within_words(best.within_1_percent_um, curve)}"
+    """Return the parts of the headline on an optimum, without the label."""
+    best, limits = curve.optimum, f"95 %: {interval_words(curve)}"
     if words := no_difference_words(curve):
         if outside := fit_outside_words(curve):
             return [(Strong(words),), *outside]
         size = "" if best.inside else ", the end of the range"
-        mean = mean_words(best.mean_delta_e, curve.errors.light, curve.errors.light_limit, curve.errors.causes)
-        least = f"least {mean} at {best.pitch_um:.2f} µm{size} ({interval})"
-        unsure = "" if curve.errors.are_tolerated else f", {NOT_CONVERGED}"
-        return [(Strong(words),), f"mean ΔE is {least}{unsure}", within]
-    size_um, mean = f"{best.pitch_um:.2f} µm", f"mean ΔE {shown_mean_of(curve, best.mean_delta_e)}"
-    if best.inside:
-        first = "optimal pixel size ", Strong(size_um)
-        whole = (*first, f" ({interval}), {mean}")
-        if has_room([joined([f"{curve.label}: ", whole], "")]):
-            return [whole, within]
-        return [first, mean, interval, within]  # a headline rather names the cause of a mean ΔE than the interval
-    ends = f"no optimum between {curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm"
-    return [ends, f"the error is smallest at {size_um}, the end of the range ({interval}), {mean}", within]
+        mean, warning, _ = shown_mean_of(curve, best.mean_delta_e).partition(f", {NOT_CONVERGED}")
+        return [(Strong(words),), f"mean ΔE is least {mean} at {best.pitch_um:.2f} µm{size} ({limits}){warning}"]
+
+    value = best_value_words(curve)
+    if not best.inside:
+        ends = f"no optimum between {curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm"
+        return [ends, f"the best is {best.pitch_um:.2f} µm, the end of the range ({limits}), {value}"]
+    size = "optimal pixel size ", Strong(f"{best.pitch_um:.2f} µm"), f" ({limits})"
+    whole = (*size, f", {value}")
+    return [whole] if has_room([joined([f"{curve.label}: ", whole], "")]) else [size, value]
+
+
+def _optimum_details(curve: Curve) -> list[str]:
+    """Return what is developed, which sizes are nearly as good, and the optima on other displays."""
+    is_range = curve.judged_by_delta_e and not curve.fit_swings
+    within = f"within 1 % of it: {within_words(curve.optimum.within_1_percent_um, curve)}" if is_range else ""
+    return [curve.case.developed, within, displays_words(curve)]
+
+
+def best_value_words(curve: Curve) -> str:
+    """Return the first metric at the optimum as text."""
+    metric, best = curve.metrics[0], curve.optimum
+    return (
+        f"mean ΔE {shown_mean_of(curve, best.mean_delta_e)}" if metric.is_delta_e else f"{metric.title} {metric.shown(best.value)}"
+    )
 
 
 def optima_table(curves: Sequence[Curve]) -> DocumentTable:
@@ -111,8 +126,12 @@ def _least_words(curve: Curve, form: str, is_sure: bool) -> str:
 
 
 def shown_mean_of(curve: Curve, mean_delta_e: float) -> str:
-    """Return a mean ΔE of a curve as text, with the errors of its light and its largest cause."""
-    return shown_mean(mean_delta_e, curve.errors.light, curve.errors.light_limit, curve.errors.causes)
+    """Return a mean ΔE of a curve as text, with one warning: its largest cause or error of the light, if that is too large."""
+    errors = curve.errors
+    largest_error = max((delta_e for delta_e, _ in unmet(errors.light, errors.light_limit)), default=0.0)
+    if errors.causes and errors.causes[0].delta_e >= largest_error:
+        return mean_words(mean_delta_e, errors.light, errors.light_limit, errors.causes[:1])
+    return shown_mean(mean_delta_e, errors.light, errors.light_limit)
 
 
 def no_difference_words(curve: Curve) -> str:
@@ -395,7 +414,7 @@ def curve_document(curve: Curve) -> Document:
         kind="curve of pixel sizes",
         title=curve.label,
         data=curve_data(curve),
-        answers=(headline(optimum_parts(curve)),),
+        answers=(optimum_answer(curve),),
         lead=(Plot(lambda: delta_e_against_pitch([curve])),),
         sections=(Section("numbers", "Numbers", (numbers_table(curve),)),),
     )

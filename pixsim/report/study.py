@@ -18,7 +18,7 @@ from pixsim.report.curve import (
     delta_e_against_pitch,
     numbers_table,
     optima_table,
-    optimum_parts,
+    optimum_answer,
     range_columns,
 )
 from pixsim.report.neq import NEQ, neq_against_frequency
@@ -26,11 +26,11 @@ from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.paper import PAPER_PLATES, map_plates, numbered, scene_plates
 from pixsim.report.pictures import size_words
 from pixsim.report.regret import REGRETS, metrics_against_pitch, regrets_plate
-from pixsim.report.settings import record_rows, scene_rows, settings_table, settings_tables
+from pixsim.report.settings import record_rows, scene_rows, settings_blocks, settings_table, settings_tables
 from pixsim.report.study_facts import study_facts, study_notes
 from pixsim.report.uncertainty import uncertainty_blocks, uncertainty_document
 from pixsim.report.views import SENSORS_SHOWN, Views, best_place, map_end, study_pictures, study_views
-from pixsim.report.wording import DELTA_E, blur_words, film_words, rendered_words, weighted_answer
+from pixsim.report.wording import DELTA_E, film_words, rendered_words, weighted_answer
 from pixsim.sensor.labels import file_label, labels_of
 from pixsim.show.document import (
     Block,
@@ -44,7 +44,6 @@ from pixsim.show.document import (
     Slider,
     Tiles,
     VerdictText,
-    headline,
     made_with,
     pairs,
 )
@@ -59,6 +58,7 @@ from pixsim.studies.design import imaging_of
 from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.merit import (
     detail_frequency_lp_per_mm,
+    detail_terms,
     longest_path_um,
     mpe30_lx_s,
     mtf50_cy_per_mm,
@@ -175,11 +175,16 @@ def light_against_detail(result: StudyResult, curve: Curve) -> Drawing:
 # In the paper, of curves that any study has.
 FIGURE_NUMBERS = {"delta_e_against_pitch": 7, "delta_e_against_pitch_all": 8, "optimum_against_technology": 9}
 # Sections of the page, and the kinds of groups in them.
-HEADINGS = {"curves": ("curves", "more"), "maps": ("pictures",), "paper": ("paper's scene", "paper's maps")}
+HEADINGS = {
+    "curves": ("curves", "statistics"),
+    "limits": ("limits",),
+    "maps": ("pictures",),
+    "paper": ("paper's scene", "paper's maps"),
+}
 
 
 class FigureGroup(NamedTuple):
-    """Figures drawn together: curves, pictures (of one technology), more, or those of the paper (its scene, its maps)."""
+    """Figures drawn together: curves, pictures (of one technology), statistics, limits, the paper's scene, the paper's maps."""
 
     number: int
     kind: str
@@ -208,9 +213,10 @@ def draw_section(
         plate = study_pictures(result, curve, scores[0], [score.delta_e for score in scores])
         plates = [plate.named(f"pictures_{curve.file_label}")]
         views = study_views(result, curve, scores[0])
-    elif section.kind == "more":
+    elif section.kind == "statistics":
         plates = [other_statistics(first)] if first.judged_by_delta_e else []
-        plates.append(light_against_detail(result, first))
+    elif section.kind == "limits":
+        plates = [light_against_detail(result, first)]
     elif section.kind == "paper's scene":
         plates = scene_plates(result)
     else:
@@ -220,7 +226,10 @@ def draw_section(
 
 
 def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
+    """Return the figures of all curves and of the first one; the first figure answers what was asked."""
     plates = [delta_e_against_pitch([first])]
+    if len(result.curves) > 1:
+        plates.insert(0, delta_e_against_pitch(result.curves).named("delta_e_against_pitch_all"))
     if regrets := metric_regrets(first):
         plates.append(regrets_plate(regrets, first.pitch_um))
     if len(first.metrics) > 1:
@@ -228,7 +237,6 @@ def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
     if quanta := quanta_of_study(result):
         plates.append(neq_against_frequency(quanta))
     if len(result.curves) > 1:
-        plates += [delta_e_against_pitch(result.curves).named("delta_e_against_pitch_all")]
         processes = not any(curve.data_sheet for curve in result.curves)
         if processes and len({curve.feature_size_um for curve in result.curves}) > 1:
             plates.append(optimum_against_technology(result))
@@ -282,7 +290,7 @@ def document_of(
     facts : further ones
     warned : notes that a reader of the terminal has seen
     """
-    optima = (headline(optimum_parts(curve)) for curve in result.curves if not curve.alone)
+    optima = (optimum_answer(curve) for curve in result.curves if not curve.alone)
     first = result.curves[0].metric.name
     by_first_metric = [found for found in regrets if found.criteria[0].metric.name == first]
     answers = [*map(weighted_answer, by_first_metric), *optima]
@@ -318,13 +326,11 @@ def study_data(result: StudyResult) -> dict[str, Any]:
     }
 
 
-EACH_SIZE = (
-    "Each pixel size is simulated on the same die in the same light ({}). Small pixels suffer from noise, large ones from blur. {}"
-)
-INTERVAL = (
-    "The 95 % interval is that of the pixel size with the smallest expected ΔE. It includes the noise and fixed pattern of the "
-    "sensors, the registration of pixels with the detail, and the uncertainty of the curve between the sizes tried. It does not "
-    "include the error of the render and its film, or the choice of lens, process and display."
+ABOUT = (
+    "All pixel sizes see the same light on the same die. Small pixels suffer from noise, large ones from blur. The 95 % interval "
+    "is that of the size with the smallest expected error. It includes noise and fixed pattern of the sensors, the registration "
+    "of pixels with the detail, and the uncertainty of the curve between the sizes tried; not the error of the render and its "
+    "film, or the choice of lens, process and display."
 )
 PAPER = 'Chen, Catrysse, El Gamal and Wandell, "How small should pixel size be?", Proc. SPIE 3965 (2000).'
 
@@ -343,7 +349,7 @@ def study_page(
     """
     study = result.study
     pictures = [("pictures", curve.technology) for curve in result.curves if curve.has_delta_e]
-    kinds = [("curves", ""), *pictures, ("more", "")]
+    kinds = [("curves", ""), *pictures, ("statistics", ""), ("limits", "")]
     kinds += [("paper's scene", ""), ("paper's maps", "")] if study.paper else []
     longest_first = reversed([FigureGroup(number, kind, technology) for number, (kind, technology) in enumerate(kinds)])
 
@@ -351,28 +357,33 @@ def study_page(
         return result
 
     groups = sorted(results_of(partial(draw_section, figures=figures), [(group, shared) for group in longest_first], workers))
-    rows = [row for *_, own in groups for row in own]
+    rows = [row for *_, findings_rows in groups for row in findings_rows]
     views = [view for _, _, view, _ in groups if view]
     plots = {
         heading: [plot_of(plate) for group, drawn, _, _ in groups if group.kind in kinds for plate in drawn]
         for heading, kinds in HEADINGS.items()
     }
+    first, *curves = plots["curves"]
+    brief = study_document(result)
+    numbers = [numbers_table(curve) for curve in result.curves]
+    made = [*_about(result), _rendered(result), made_with(pairs("seconds", seconds, 2))]
     return replace(
-        study_document(result),
+        brief,
         data=study_data(result) | ({"paper": [asdict(row) for row in rows]} if rows else {}),
-        about=_about(result),
+        lead=(first, *brief.lead),
         sections=(
+            Section("optima", "Optima", [optima_table(result.curves)] if len(result.curves) > 1 else ()),
             Section("see", "Pictures", _pictures(result, views)),
-            Section("curves", "Curves", plots["curves"]),
+            Section("paper", "Statements of the paper", _paper(rows)),
+            Section("curves", "Further curves", curves),
             budgets_section(budgets),
-            Section("limits", "What limits these pixels", _limits(result)),
-            Section("maps", "Whole pictures and maps", _maps(result, plots["maps"])),
-            Section("paper", "Statements of the paper and results of pixsim", _paper(rows)),
-            Section("figures", "The paper's other figures", plots["paper"]),
-            Section("optima", "Optima", [optima_table(result.curves)]),
-            Section("numbers", "Numbers", [Section("", capital(curve.label), [numbers_table(curve)]) for curve in result.curves]),
-            Section("assumed", "Assumptions", _assumptions(result)),
-            Section("made", "Reproducibility", [_rendered(result), made_with(pairs("seconds", seconds, 2))]),
+            Section("limits", "What limits these pixels", [limits_table(result), *plots["limits"]]),
+            Section("settings", "Settings", settings_blocks(settings(result))),
+            *_technologies(result),
+            Section("numbers", "Numbers", numbers, folded=True),
+            Section("maps", "Whole pictures and maps", plots["maps"], folded=True),
+            Section("figures", "The paper's other figures", plots["paper"], folded=True),
+            Section("made", "How this was computed", made, folded=True),
         ),
         files={f"figures/contact_sheet_{view.file_label}.png": view.sheet for view in views},
     )
@@ -385,50 +396,42 @@ def plot_of(made: Plate | Drawn) -> Plot:
 
 def _about(result: StudyResult) -> Iterator[Block]:
     """Yield what the numbers of a page mean."""
-    yield EACH_SIZE.format(result.irradiance.header.get("scene", "that was given"), DELTA_E)
-    border = f" A border of {result.study.border_um:.3g} µm, one and a half of the largest pixels of the study, is not scored."
-    yield INTERVAL + border * (result.study.display.raster == "fixed_size")
+    yield ABOUT
+    if any(curve.has_delta_e for curve in result.curves):
+        yield DELTA_E
+    if result.study.display.raster == "fixed_size":
+        yield f"A border of {result.study.border_um:.3g} µm, one and a half of the largest pixels of the study, is not scored."
 
 
 def _pictures(result: StudyResult, views: Sequence[Views]) -> Iterator[Block]:
     """Yield the pictures of each technology."""
     study = result.study
-    best = ", ".join(f"{curve.optimum.pitch_um:.2f} µm for {curve.label}" for curve in result.curves if curve.optimum.inside)
-    detail = "A detail where both the smallest and the largest pixels have large errors"
+    if views:
+        yield f"Mean ΔE is that of the whole picture over all sensors. {size_words(1, study.display.samples_per_deg)}"
     for number, view in enumerate(views, 1):
-        if number == 1:
-            yield (
-                "Pictures of the first sensor of each pixel size, as the study's display shows them, with the mean ΔE of the whole "
-                f"picture over all sensors. {size_words(1, study.display.samples_per_deg)} "
-                '"Least error tried" is the size with the smallest mean ΔE of these. The best size is the minimum of the fitted '
-                f"curve, which may lie between them{': ' if best else ''}{best}."
-            )
-        across, down = (f"{100 * share:.0f} %" for share in view.place)
-        chosen = "The detail chosen in the study" if study.detail else detail
-        place = f"{chosen}. Its centre is at {across} of the picture's width and {down} of its height, from the upper left."
         of, label = f"detail in {view.label}", capital(view.label)
+        across, down = (f"{100 * share:.0f} %" for share in view.place)
+        place = f"Its centre is at {across} of the picture's width and {down} of its height."
         yield Section("", f"{label}: the same detail for every pixel size", [place, Tiles(view.tiles, of)])
         errors = Pictures(view.crops, of), DeltaEScale(scale(map_end(result)))
         yield Section("", f"{label}: errors in that detail", errors, together=True)
-        heading = "Pixel size to compare with the ideal image:"
-        slider = Slider(f"slider-{number}", heading, view.ideal, view.outputs)
+        slider = Slider(f"slider-{number}", "Pixel size to compare with the ideal image:", view.ideal, view.outputs)
         smaller = size_words(view.factor, study.display.samples_per_deg) if view.factor > 1 else ""
         yield Section("", f"{label}: whole pictures and the ideal image", [smaller, slider], together=True)
 
 
-def _limits(result: StudyResult) -> Iterator[Block]:
-    """Yield the contrast that each blur leaves at the optimum."""
+def limits_table(result: StudyResult) -> DocumentTable:
+    """Return the contrast that each blur leaves at the optimum of each curve, at a frequency of fine detail."""
+    rows: list[dict[str, str]] = []
     for curve in result.curves:
         imaging = imaging_of(result.study, result.camera, curve.technology, curve.optimum.pitch_um)
-        blur = blur_words(imaging, result.irradiance, longest_path_um(result, curve, curve.optimum.pitch_um))
-        yield f"Blur of {curve.optimum.pitch_um:.2f} µm pixels, {curve.label}. {blur}"
-
-
-def _maps(result: StudyResult, plots: Sequence[Plot]) -> list[Block]:
-    """Return whole pictures and maps, if there are any."""
-    if not plots:
-        return []
-    return [f"All maps of this report have the same {scale(map_end(result)).name}; larger errors have its last colour.", *plots]
+        path_um = longest_path_um(result, curve, curve.optimum.pitch_um)
+        frequency_lp_per_mm, _, sensor_terms, display_terms = detail_terms(imaging, result.irradiance, path_um)
+        row = {"pixel": f"{curve.label}, {curve.optimum.pitch_um:.2f} µm", "at (lp/mm)": f"{frequency_lp_per_mm:.3g}"}
+        rows.append(row | {term: f"{mtf:.3f}" for term, mtf in (sensor_terms | display_terms).items()})
+    head = list(dict.fromkeys(name for row in rows for name in row))
+    cells = [tuple(row.get(name, "–") for name in head) for row in rows]
+    return DocumentTable("MTF of each blur", head, cells, "MTF of each blur at the optimum")
 
 
 def _paper(rows: Sequence[Finding]) -> list[Block]:
@@ -443,27 +446,20 @@ def agrees(whether: bool) -> tuple[VerdictText]:
     return (VerdictText("yes" if whether else "does not agree", whether),)
 
 
-def _assumptions(result: StudyResult) -> Iterator[Block]:
-    """Yield the settings with their meaning and source, and all numbers of the technologies."""
-    yield from settings(result)
-    processes = [curve.technology for curve in result.curves if not curve.data_sheet]
-    if processes:
-        yield "All other parameters come from the technology, below."
-    if len(processes) < len(result.curves):
-        yield "Noise and non-uniformities that the data sheet does not state are zero."
-    for technology in processes:
-        name, rows = technology_rows(result, technology)
-        title = (
-            f"Technology {name}: every number, its plausible range and its source (A primary, B secondary, C derived, D assumed)"
-        )
-        head = ("number", "value", "plausible range", "source")
-        yield Section("", title, [DocumentTable(f"technology {name}", head, rows, words=None)], folded=True)
+def _technologies(result: StudyResult) -> Iterator[Section]:
+    """Yield the numbers of the technologies of the curves."""
+    head = "number", "value", "plausible range", "source"
+    for curve in result.curves:
+        if not curve.data_sheet:
+            name, rows = technology_rows(result, curve.technology)
+            table = DocumentTable(f"technology {name}", head, rows, words=None)
+            yield Section("", f"Numbers of the technology {name}", [table], folded=True)
 
 
 def _rendered(result: StudyResult) -> str:
     """Return what the light of a study was made from."""
     header = result.irradiance.header
-    seed = f", seed {header['seed']}; {'; '.join(header['plan'])}" if "plan" in header else ""
+    seed = f", seed {header['seed']}" if "plan" in header else ""
     return f"Irradiance: {rendered_words(header)}{seed}. Study seed {result.study.seed}."
 
 

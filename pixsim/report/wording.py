@@ -1,4 +1,4 @@
-"""Parts of several pages: captions, what suits several conditions, the contrast that blur leaves, and the light behind a result."""
+"""Parts of several pages: captions, what suits several conditions, and the light behind a result."""
 
 from __future__ import annotations
 
@@ -15,15 +15,13 @@ from pixsim.optics.camera import Camera
 from pixsim.scene.convergence import RENDER_NOISE, what_reaches
 from pixsim.show.document import Answer, Strong, joined
 from pixsim.studies.film_error import FilmError, light_error_and_limit
-from pixsim.studies.merit import detail_terms, stated_end_lp_per_mm
+from pixsim.studies.merit import stated_end_lp_per_mm
 from pixsim.studies.regret import Regrets, weighted_criterion
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.score import converged, unmet
 
 if TYPE_CHECKING:
-    from pixsim.light.spectral import SpectralImage
     from pixsim.studies.curve import Curve
-    from pixsim.viewer.imaging import Imaging
 
 DELTA_E = (
     "ΔE is the visible difference between a sensor's picture and that of an ideal camera: the CIELAB colour difference after the "
@@ -57,25 +55,6 @@ def weighted_answer(regrets: Regrets) -> Answer:
     first, _, words = metric.best.partition(" ")
     label = f"{regrets.label}: {first} weighted {words} {value} at "
     return Answer(joined([label, (Strong(f"{best.pitch_um:.2f} µm"), f" (95 %: {interval(best.interval_um)})")], ""))
-
-
-def blur_words(imaging: Imaging, irradiance: SpectralImage, path_um: float = 0.0) -> str:
-    """Return sentences on the contrast left by each term at `detail_frequency_lp_per_mm`.
-
-    path_um : of light that moves in an exposure
-    """
-    frequency, name, terms, of_display = detail_terms(imaging, irradiance, path_um)
-    left, *others = (f"{term} {'is ' * ('lens' in term.split())}{mtf:.3f}" for term, mtf in terms.items())
-    *some, last = (f"that of the {words}" for words in others)
-    words = f"At {frequency:.3g} lp/mm, {name}, the MTF of the {', '.join([left, *some])} and {last}: "
-    words += f"together they reduce the contrast by {100 * (1 - math.prod(terms.values())):.0f} %. "
-    if not of_display:
-        return words + "The display shows each pixel as one dot and reduces it no further."
-    lost = 1 - math.prod(of_display.values())
-    return words + (
-        f"On the display, the MTF of the {imaging.display.interpolation} interpolation is {of_display['interpolation']:.3f} and "
-        f"that of the dots {of_display['dot']:.3f}: they reduce the recorded contrast by another {100 * lost:.0f} %."
-    )
 
 
 FILLED = 0.9995  # larger fill factors are shown as 100 %: data sheets give the numbers of the whole pixel

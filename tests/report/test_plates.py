@@ -29,7 +29,6 @@ from pixsim.report.paper import figure_2a, figure_2b, map_plates, scene_plates
 from pixsim.report.pictures import MAX_TICKS, picture_axes
 from pixsim.report.study import light_against_detail, optimum_against_technology, other_statistics
 from pixsim.report.views import study_pictures
-from pixsim.report.wording import blur_words
 from pixsim.scene.charts import DIE_MM
 from pixsim.sensor.motion_options import Motion
 from pixsim.show.figures import ISO_SMOOTHING_DOTS, label_axes, new_figure, own_style, svg_text
@@ -37,7 +36,7 @@ from pixsim.show.pages import Plate
 from pixsim.show.render import answer_and_rest
 from pixsim.studies.claims import Evidence, dr_and_snr_db, growth_exponent
 from pixsim.studies.design import pixel_of
-from pixsim.studies.merit import mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, system_mtf
+from pixsim.studies.merit import detail_terms, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, system_mtf
 from pixsim.studies.optimum import Optimum
 from pixsim.studies.result import StudyResult
 
@@ -303,8 +302,9 @@ def test_light_against_detail_has_the_path_of_what_moves(tiny_result: StudyResul
     mtf50, physics = column(plate, "mtf50_lp_per_mm")[2], pixsim.derive(pixel_of(tiny_result.study, "0.35um", 7.0))
     left = system_mtf(tiny_result, physics, np.array(mtf50)) * np.sinc(path_mm[2] * mtf50)
     assert left == pytest.approx(0.5, abs=1e-6)
-    blur = blur_words(imaging(moving.camera, physics.pixel, display=moving.study.display), moving.irradiance, 1e3 * path_mm[2])
-    assert f"that of the motion {along[2]:.3f} and that of the photodiode" in blur
+    asked = imaging(moving.camera, physics.pixel, display=moving.study.display)
+    *_, sensor_terms, _ = detail_terms(asked, moving.irradiance, 1e3 * path_mm[2])
+    assert sensor_terms["motion"] == pytest.approx(along[2], rel=1e-12)
 
 
 def test_optimum_against_technology_values(plates: dict[str, Plate]) -> None:

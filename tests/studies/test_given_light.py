@@ -71,13 +71,13 @@ def test_a_target_in_given_light_is_judged_as_in_the_light_of_its_scene(folder, 
     target = {"size_um": 300.0, "contrast": 0.1, "luminance_cd_per_m2": 100.0}
     rendered = study(folder / "small.toml", tmp_path / "rendered", scene="target", parameters=target, resolution=COARSE, **metrics)
     own = {"light": rendered.irradiance} | metrics
-    given = study(folder / "small.toml", tmp_path / "given", without=rendered.without, **own)
+    given = study(folder / "small.toml", tmp_path / "given", without=rendered.light.without, **own)
     assert rows_in(tmp_path / "given") == rows_in(tmp_path / "rendered")
     assert "light=…, without=…), of the light of digest" in given.settings_toml
     curve = given.curves[0]
     least = curve.as_dict()["metrics"]["least_detectability"]
     assert least == curve.statistics["least_detectability"].min(axis=1).tolist(), "the worst, not the mean of the worst"
-    dark = rendered.without
+    dark = rendered.light.without
     study(folder / "small.toml", tmp_path / "given", without=dark.with_planes(1.02 * dark.planes), **own)
     assert rows_in(tmp_path / "given") != rows_in(tmp_path / "rendered")
 

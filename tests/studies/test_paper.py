@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from itertools import product
@@ -22,7 +21,6 @@ from pixsim.optics.camera_lens import LENS_HEADER, Tiling, camera_with_lens, wit
 from pixsim.optics.diffraction import diffraction_otf
 from pixsim.optics.lens_options import LensOptions
 from pixsim.report.study_facts import pairs_at_best_sizes
-from pixsim.report.wording import blur_words
 from pixsim.scene.charts import DIE_MM, csf_contrast, csf_frequency_lp_per_mm
 from pixsim.sensor.diffusion import absorption_per_um, diffusion_mtf
 from pixsim.sensor.pixel import derive, fill_factor_law
@@ -51,7 +49,15 @@ from pixsim.studies.curve import Curve
 from pixsim.studies.design import pixel_of
 from pixsim.studies.files import load_study
 from pixsim.studies.lights import Light
-from pixsim.studies.merit import mpe30_lx_s, mtf50_cy_per_mm, sensitivity_e_per_lx_s_um2, shown_mtf, study_mtf_terms, system_mtf
+from pixsim.studies.merit import (
+    detail_terms,
+    mpe30_lx_s,
+    mtf50_cy_per_mm,
+    sensitivity_e_per_lx_s_um2,
+    shown_mtf,
+    study_mtf_terms,
+    system_mtf,
+)
 from pixsim.studies.optimum import fit_curve
 from pixsim.studies.result import StudyResult
 from pixsim.studies.settings import Study
@@ -235,30 +241,28 @@ def test_mtf_terms_of_a_stack() -> None:
     stacked = derive(pixel.model_copy(update={"stack": StackOptions(**STACK, microlens="square", crosstalk=0.2)}))
     product = math.prod(float(shared[name][1]) for name in ("lens", "microlens", "crosstalk"))
     assert float(system_mtf(result, stacked, nyquist)[1]) == pytest.approx(product, rel=1e-12)
-    words = blur_words(imaging(result.camera, stacked.pixel, display=result.study.display), result.irradiance)
-    named = r"the MTF of the lens is 0\.\d+, that of the microlens 0\.\d+ and that of the crosstalk 0\.\d+: together"
-    assert re.search(named, words)
+    asked = imaging(result.camera, stacked.pixel, display=result.study.display)
+    _, _, sensor_terms, _ = detail_terms(asked, result.irradiance)
+    assert list(sensor_terms) == ["lens", "microlens", "crosstalk"]
 
 
-def test_blur_words_hold_the_terms() -> None:
+def test_terms_of_detail_are_those_of_a_frequency_of_the_picture() -> None:
     result, pixel = chen2000()
     light, camera, display = result.irradiance, result.camera, result.study.display
     asked = imaging(camera, pixel, display=display)
-    words = blur_words(asked, light)
-    at = 1e3 / (4 * 6.5)  # no chart: half the Nyquist frequency
-    terms = mtf_terms(asked, light, np.array(at))
-    assert words.startswith("At 38.5 lp/mm, half the Nyquist frequency of 6.5 µm pixels, ")
-    for item in terms.values():
-        assert f"{float(item):.3f}" in words
-    sensor, shown = 1 - float(terms["lens"] * terms["photodiode"]), 1 - float(terms["interpolation"] * terms["dot"])
-    assert re.findall(r"contrast by (?:another )?(\d+) %", words) == [f"{100 * sensor:.0f}", f"{100 * shown:.0f}"]
+    half_nyquist = 1e3 / (4 * 6.5)
+    frequency, name, sensor_terms, display_terms = detail_terms(asked, light)
+    assert (frequency, name) == (half_nyquist, "half the Nyquist frequency of 6.5 µm pixels")
+    assert sensor_terms | display_terms == mtf_terms(asked, light, np.array(half_nyquist))
+    assert list(display_terms) == ["interpolation", "dot"]
     light.header.update({"scene": "csf.xml"})
-    assert blur_words(asked, light).startswith("At 33.3 lp/mm, the highest frequency of the chart, ")
-    pixels = blur_words(asked.changed(display=display.model_copy(update={"raster": "one_to_one"})), light)
-    assert pixels.endswith("reduces it no further.")
+    frequency, name, *_ = detail_terms(asked, light)
+    assert (round(frequency, 1), name) == (33.3, "the highest frequency of the chart")
+    *_, of_pixels = detail_terms(asked.changed(display=display.model_copy(update={"raster": "one_to_one"})), light)
+    assert of_pixels == {}
 
 
-def test_blur_words_name_the_real_lens() -> None:
+def test_mtf_terms_name_the_real_lens() -> None:
     """With the MTF of its aberrations, in place of diffraction."""
     result, pixel = chen2000()
     camera = camera_with_lens(Camera(object_distance_m=5.0), CameraOptions(), LensOptions(file="singlet", focal_length_mm=12.0))
@@ -269,7 +273,6 @@ def test_blur_words_name_the_real_lens() -> None:
     thin = mtf_terms(asked.changed(camera=without_lens(camera)), light, np.array(30.0))
     assert list(terms) == ["real lens", *list(thin)[1:]]
     assert 0.01 < float(terms["real lens"]) < 0.7 * float(thin["lens"])
-    assert re.search(r"the MTF of the real lens is 0\.\d+ and that of", blur_words(asked, light))
 
 
 def test_mtf_terms_dark_picture_uses_equal_light() -> None:
