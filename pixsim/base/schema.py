@@ -7,16 +7,21 @@ what changed, whenever an entry or a column is renamed or removed, or means anot
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from pixsim.base.errors import invalid
+from pixsim.base.notes import Note
 
-SCHEMA = 1
+SCHEMA = 2
+ROW_SCHEMAS = (1, 2)  # whose rows of results.csv are those of this one
 KEY = "schema"
 CHANGES = {
-    1: "names of settings and of entries, technologies 4t-*, random streams of large frames, and one results.csv for all cases"
+    1: "names of settings and of entries, technologies 4t-*, random streams of large frames, and one results.csv for all cases",
+    2: "notes, which have ids, and entries that the JSON of all commands has: settings, cases, table, optima",
 }
+SHARED_KEYS = ("settings", "cases", "table", "optima", "notes")
+ONE_CASE: tuple[Mapping[str, Any], ...] = ({"at": {}},)
 PREVIEW = "no schema, as files of previews of pixsim 0.1"
 
 
@@ -37,6 +42,37 @@ def check_not_newer(name: str, got: object) -> None:
         raise invalid(
             name, f"schema {str(got)[:20]}", f"up to {SCHEMA}", "Take the version of pixsim that wrote it, or a newer one."
         )
+
+
+def result_data(
+    content: Mapping[str, Any],
+    *,
+    settings: Mapping[str, Any],
+    notes: Iterable[Note],
+    cases: Iterable[Mapping[str, Any]] = ONE_CASE,
+    table: str | None = None,
+    optima: Iterable[Mapping[str, Any]] = (),
+) -> dict[str, Any]:
+    """Return the data of a result for JSON, with the entries that those of all commands have.
+
+    content : entries of this command alone
+    settings : that it was computed with
+    notes : which become {"id", "text"}
+    cases : with the values of axes of each as "at"; one without any where there are no axes
+    table : name of the file with a row for each evaluation; None if there is none
+    optima : best pixel sizes, each with "metric", "pitch_um", "value", "interval_um" and what tells its curve from others
+
+    >>> result_data({"mtf50_cy_per_px": 0.31}, settings={}, notes=[])["cases"]
+    [{'at': {}}]
+    """
+    shared = {
+        "settings": dict(settings),
+        "cases": [dict(case) for case in cases],
+        "table": table,
+        "optima": [dict(optimum) for optimum in optima],
+        "notes": [note.as_dict() for note in notes],
+    }
+    return {**content, **shared}
 
 
 def json_text(content: Mapping[str, Any]) -> str:

@@ -283,7 +283,7 @@ def plan(
     chosen = options.settings(tolerance_e=tolerance_e)
     loaded = loaded_scene(scene, chosen.scene, chosen.resolution, chosen.display, variant=variant, sensor=sensor)
     made = plan_of(loaded, loaded.camera(chosen.camera, chosen.lens), chosen, full)
-    answer(plan_document(made, scene, chosen.pixel.assumption), json)
+    answer(plan_document(made, scene, chosen), json)
 
 
 @app.command(sort_key=1)

@@ -10,6 +10,7 @@ from operator import attrgetter
 from typing import Any
 
 from pixsim.base.digits import number
+from pixsim.base.schema import result_data
 from pixsim.base.tables import plain, rows_csv
 from pixsim.show.document import Answer, Block, Document, DocumentTable, Fact, Plot, Section, Strong, Text, made_with
 from pixsim.show.figures import LOOKS, new_figure, plain_powers
@@ -48,7 +49,7 @@ def accuracy_document(accuracy: Accuracy) -> Document:
 
 def accuracy_data(accuracy: Accuracy) -> dict[str, Any]:
     """Return summary.json."""
-    return {
+    content = {
         "scene": accuracy.name,
         "assumption": accuracy.settings.pixel.assumption,
         "reference": None if accuracy.reference is None else plain(accuracy.reference.as_dict()),
@@ -56,6 +57,8 @@ def accuracy_data(accuracy: Accuracy) -> dict[str, Any]:
         "stability": [plain(case.as_dict()) for case in accuracy.cases],
         "seconds": accuracy.seconds,
     }
+    settings = accuracy.settings.model_dump(mode="json", exclude_none=True)
+    return result_data(content, settings=settings, notes=[], table="ladder.csv")
 
 
 def ladder_csv(accuracy: Accuracy) -> str:

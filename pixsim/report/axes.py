@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from pixsim.base.arrays import Array
+from pixsim.base.schema import result_data
 from pixsim.base.tables import Column, columns_of, table_csv
 from pixsim.base.toml import SETTINGS_FILE
-from pixsim.report.curve import curve_data, delta_e_against_pitch, optima_table, optimum_line
+from pixsim.report.curve import curve_data, delta_e_against_pitch, optima_data, optima_table, optimum_line
 from pixsim.report.maps import alone_groups, alone_plate, axis_plates, case_columns, optimum_columns, plate_names
 from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.regret import REGRETS, condition_regrets_data, regrets_plate, regrets_tables
@@ -30,6 +31,7 @@ from pixsim.studies.merit import noise_budgets
 from pixsim.studies.regret import Regrets, condition_regrets
 from pixsim.studies.result import CasesResult, StudyResult
 from pixsim.studies.settings import Study
+from pixsim.studies.table import ROWS_FILE
 from pixsim.viewer.display import white_light
 
 REGRETS_FILE = "regrets.csv"
@@ -97,23 +99,24 @@ def cases_data(result: CasesResult, regrets: Sequence[Regrets]) -> dict[str, Any
     cases: list[dict[str, Any]] = []
     for part, findings in zip(result.parts, result.findings or [()] * len(result.parts), strict=True):
         first = part.curves[0]
-        labels = {"at": first.at, "condition": first.condition, "alone": first.alone}
+        labels = {"condition": first.condition, "alone": first.alone}
         labels |= {"film": part.film and part.film.as_dict(), "agrees": {row.statement: row.agrees for row in findings}}
         light = {"irradiance": part.irradiance.header, "white_spectrum": white_light(part.irradiance)[1]}
-        cases.append({name: value for name, value in labels.items() if value} | light)
+        cases.append({"at": first.at} | {name: value for name, value in labels.items() if value} | light)
     further = {
         "left_out": list(result.left_out),
         "regrets": [condition_regrets_data(found) for found in regrets],
         "claims": [verdict.as_dict() for verdict in verdicts(result)],
     }
-    return {
-        "study": result.study.model_dump(mode="json"),
+    settings = result.study.model_dump(mode="json")
+    content = {
+        "study": settings,
         "chosen": result.view,
-        "notes": [note.as_dict() for note in study_notes(result)],
-        "cases": cases,
         "curves": [curve_data(curve) | {"dark": result.part_of(curve).dark(curve)} for curve in result.curves],
         **{name: values for name, values in further.items() if values},
     }
+    optima = [optimum for curve in result.curves for optimum in optima_data(curve)]
+    return result_data(content, settings=settings, notes=study_notes(result), cases=cases, table=ROWS_FILE, optima=optima)
 
 
 def film_of_cases(result: CasesResult) -> list[str]:

@@ -21,6 +21,7 @@ from pixsim.base.files import check_replaceable
 from pixsim.base.machine import processors
 from pixsim.base.notes import Note
 from pixsim.base.records import Record
+from pixsim.base.schema import result_data
 from pixsim.base.toml import SETTINGS_FILE, settings_table_text, whole_path
 from pixsim.light.curves import RESPONSES
 from pixsim.report.noise_budget import NAME, budgets_section
@@ -87,6 +88,7 @@ from pixsim.studies.merit import LightLevel
 from pixsim.studies.paired import Pairs, mean_interval
 from pixsim.studies.sensors import OF_A_SENSOR, SHARED, ComparisonJob, SensorGroup, pixels_of
 from pixsim.studies.settings import Condition, Study, paths_of
+from pixsim.studies.table import ROWS_FILE
 from pixsim.studies.uncertainty import FEW_SENSORS, TYPES_FILE, PairUncertainty
 from pixsim.viewer.develop_options import TONE_CURVES, developed_words
 from pixsim.viewer.display import white_light
@@ -101,7 +103,7 @@ SCORES_CAPTION = (
     "later sensor from the first at each of their values. The film's error is not in it."
 )
 ROWS_FILES = {
-    "results.csv": "mean ΔE of each frame, with which an interrupted comparison goes on",
+    ROWS_FILE: "mean ΔE of each frame, with which an interrupted comparison goes on",
     TYPES_FILE: "the same of the sensor types of --uncertainty",
 }
 
@@ -462,12 +464,17 @@ def data(result: Comparison) -> dict[str, Any]:
     """Return compare.json. With conditions the answers are those of the weighted mean, and the rest is `shown`."""
     job, shown = result.job, result.shown
     stated: dict[str, Any] = {"names": list(result.names), "match": job.match, "repeats": job.repeats, "scene": shown.scene}
-    stated["notes"] = [note.as_dict() for note in notes(result)]
     if job.study is not None:
         stated["study"] = {"name": job.study.name, "not_used": list(job.not_used)}
+    shared: dict[str, Any] = {
+        "settings": {"sensors": dict(zip(result.names, (_settings_data(run) for run in job.base), strict=True))},
+        "notes": notes(result),
+        "cases": [{"at": case.case.at} | numbers(case) for case in result.cases],
+        "table": ROWS_FILE,
+    }
     if len(result.cases) > 1:
-        cases = [{"at": case.case.at} | numbers(case) for case in result.cases]
-        return stated | {"verdicts": {other: over_cases(result, other) for other in result.names[1:]}, "cases": cases}
+        stated["verdicts"] = {other: over_cases(result, other) for other in result.names[1:]}
+        return result_data(stated, **shared)
     conditions = [group for group in result.groups() if group.first.condition]
     more: dict[str, Any] = {"shown_condition": shown.first.condition} if conditions else {}
     if conditions:
@@ -481,7 +488,7 @@ def data(result: Comparison) -> dict[str, Any]:
         for each in result.uncertainty:
             if not each.metric.is_delta_e:
                 more["uncertainty"][each.names[1]].setdefault("metrics", {})[each.metric.name] = each.as_dict()
-    return stated | {
+    content = stated | {
         **more,
         **numbers(result),
         **shown.as_dict(),
@@ -492,6 +499,11 @@ def data(result: Comparison) -> dict[str, Any]:
             sensor.name: _sensor_data(sensor) | {"delta_e": result.delta_e[sensor.name].tolist()} for sensor in result.sensors
         },
     }
+    return result_data(content, **shared)
+
+
+def _settings_data(settings: Run) -> dict[str, Any]:
+    return settings.model_dump(mode="json", exclude_none=True)
 
 
 def _condition_data(result: Comparison, group: SensorGroup) -> dict[str, Any]:

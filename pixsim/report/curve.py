@@ -361,6 +361,13 @@ def curve_data(curve: Curve) -> dict[str, Any]:
     }
 
 
+def optima_data(curve: Curve) -> list[dict[str, Any]]:
+    """Return the best sizes of a curve as the JSON of all commands has them: one by each metric."""
+    optima = {curve.metric.name: curve.optimum} | {name: fit.optimum for name, fit in curve.fits.items()}
+    labels = {"technology": curve.technology, "at": curve.at, "condition": curve.condition, "alone": curve.alone}
+    return [labels | {"metric": name} | optimum.of_metric() for name, optimum in optima.items()]
+
+
 def _metrics_data(curve: Curve) -> dict[str, Any]:
     """Return what summary.json has of metrics beside ΔE alone."""
     if curve.metrics == (DELTA_E,):

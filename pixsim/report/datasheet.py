@@ -14,6 +14,7 @@ import numpy as np
 from pixsim.base.arrays import Array
 from pixsim.base.digits import exposure_time, number, rounded
 from pixsim.base.notes import Note
+from pixsim.base.schema import result_data
 from pixsim.base.tables import rows_csv
 from pixsim.measure.datasheet import DataSheet, Entry
 from pixsim.measure.estimators import LINEARITY_SHARES, SENSITIVITY_SHARE, straight_line
@@ -334,7 +335,7 @@ def datasheet_notes(sheet: DataSheet) -> list[Note]:
 def datasheet_data(sheet: DataSheet, notes: Sequence[Note]) -> dict[str, Any]:
     """Return summary.json."""
     experiment = sheet.experiment
-    return {
+    content = {
         "pixel": experiment.pixel.model_dump(),
         "assumption": experiment.physics.pixel.assumption,
         "wavelength_nm": experiment.wavelength_nm,
@@ -346,9 +347,10 @@ def datasheet_data(sheet: DataSheet, notes: Sequence[Note]) -> dict[str, Any]:
         "seed": experiment.seed,
         "black_level_asked_dn": experiment.asked_black_dn,
         "quantisation_limited": sheet.transfer.limited,
-        "notes": [note.as_dict() for note in notes],
         "entries": [entry.as_dict() for entry in sheet.entries],
     }
+    settings = {"pixel": experiment.pixel.model_dump(mode="json", exclude_none=True), "seed": experiment.seed}
+    return result_data(content, settings=settings, notes=notes, table="datasheet.csv")
 
 
 def datasheet_csv(sheet: DataSheet) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from pixsim.base.arrays import Array
 from pixsim.base.digits import UNKNOWN, f_stop, number
 from pixsim.base.errors import one_line
+from pixsim.base.schema import result_data
 from pixsim.base.tables import Column, plain, rows_csv
 from pixsim.measure.lens import MTF_LINES, LensData, cross_section
 from pixsim.show.document import Answer, Document, DocumentTable, Listed, Plot, Section, made_with
@@ -320,7 +321,7 @@ def lens_values(data: LensData) -> dict[str, Any]:
     """Return summary.json."""
     lens = data.lens
     first = [{"wavelength_nm": float(nm), **vars(order)} for nm, order in zip(data.wavelength_nm, data.first, strict=True)]
-    return {
+    content = {
         "name": lens.prescription.name,
         "title": lens.prescription.title,
         "source": lens.prescription.source,
@@ -341,8 +342,9 @@ def lens_values(data: LensData) -> dict[str, Any]:
             plain(field) | {"mtf": [{"lp_per_mm": frequency} | plain(mtf) for frequency, mtf in mtfs.items()]}
             for field, mtfs in zip(field_values(data), field_mtfs(data), strict=True)
         ],
-        "notes": [note.as_dict() for note in data.notes],
     }
+    settings = {"lens": {"file": lens.prescription.name, "primary_nm": lens.primary_nm}, "pixel": {"pitch_um": data.pitch_um}}
+    return result_data(content, settings=settings, notes=data.notes)
 
 
 def field_values(data: LensData) -> list[dict[str, float]]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pixsim.base.digits import f_stop, rounded
+from pixsim.base.schema import result_data
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.report.wording import lens_words, view_words
 from pixsim.sensor.labels import label_of
@@ -125,11 +126,12 @@ def outline_document(command: str, outline: dict[str, Any], out: Path) -> Docume
     return Document(command, "dry run", outline["scene"], outline, terminal)
 
 
-def plan_document(plan: Plan, scene: str, assumption: str) -> Document:
+def plan_document(plan: Plan, scene: str, settings: Run) -> Document:
     """Return the answer of `pixsim plan`: what a render includes or leaves out, why, and what error that may cause.
 
-    assumption : of the pixel; empty for none
+    settings : of the render, and of the pixel that it is for
     """
+    assumption = settings.pixel.assumption
     rows = []
     for each in plan.decisions:
         bound = f"{each.bound_e:.1e}" if each.bound_e else "" if each.kept else "0"
@@ -147,4 +149,9 @@ def plan_document(plan: Plan, scene: str, assumption: str) -> Document:
     blocks += [f"white: {plan.light_of_white}", f"{passes} (scene file: {plan.full_spp}); {error}, tolerance {plan.tolerance_e:g}"]
     blocks += [f"{measured} measured by a run or a study, and stated in its result, beside mean ΔE if too large"]
     blocks += [assumption] if assumption else []
-    return Document("plan", "plan of a render", scene, plan.as_dict() | {"assumption": assumption}, blocks)
+    data = result_data(
+        plan.as_dict() | {"assumption": assumption},
+        settings=settings.model_dump(mode="json", exclude_none=True),
+        notes=plan.warnings,
+    )
+    return Document("plan", "plan of a render", scene, data, blocks)

@@ -16,6 +16,7 @@ from pixsim.base.files import digest_of
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.notes import Note, warn
 from pixsim.base.progress import Progress
+from pixsim.base.schema import result_data
 from pixsim.base.tables import plain
 from pixsim.base.toml import SETTINGS_FILE
 from pixsim.light.exr import reduced_to_fit, write_channels, write_exr
@@ -71,7 +72,7 @@ from pixsim.show.render import PAGE
 from pixsim.studies.files import scene_table, settings_text
 from pixsim.studies.merit import LightLevel, detail_terms, extent, quanta_of_run
 from pixsim.studies.run import LitRun, RunResult, Threshold
-from pixsim.studies.table import Store
+from pixsim.studies.table import ROWS_FILE, Store
 from pixsim.viewer.causes import SATURATED_SHOWN
 from pixsim.viewer.dark_clip import clip_note, clips_dark
 from pixsim.viewer.develop_options import developed_words
@@ -88,7 +89,6 @@ if TYPE_CHECKING:
     from pixsim.viewer.setting import Run
 
 # Files next to the page, with their descriptions.
-ROWS_FILE = "results.csv"
 FILES = {
     "score.json": "all numbers and settings, for programs",
     ROWS_FILE: "numbers of the first frame of each sensor",
@@ -291,7 +291,8 @@ def data(result: RunResult) -> dict[str, Any]:
         more["sharpening_noise_gain"] = result.chain.development.sharpening_noise_gain
     more |= {"frames": prepared.frames} if prepared.frames > 1 else {}
     more |= {"noise_budget": result.noise_budget.as_dict()} if result.noise_budget else {}
-    return {
+    values = {metric.name: float(result.table.columns[metric.columns[0]].mean()) for metric in metrics_named(settings.metrics)}
+    content = {
         **plain(result.statistics[0]),
         "pixels": list(score.frame.pixels),
         "scored_dots": list(score.delta_e.shape),
@@ -309,9 +310,15 @@ def data(result: RunResult) -> dict[str, Any]:
         **({"motion": settings.motion.model_dump()} if settings.motion.is_on else {}),
         "display": settings.display.model_dump(),
         "seed": settings.seed,
-        "notes": [note.as_dict() for note in notes(result)],
         **more,
     }
+    return result_data(
+        content,
+        settings=settings.model_dump(mode="json", exclude_none=True),
+        notes=notes(result),
+        cases=[{"at": {}, "sensor": prepared.cases[0].sensor, "values": plain(values)}],
+        table=ROWS_FILE,
+    )
 
 
 def threshold_data(threshold: Threshold) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pixsim.base.headline import NOT_CONVERGED
+from pixsim.base.schema import result_data
 from pixsim.base.tables import rows_csv
 from pixsim.show.document import Answer, Document, Plot, Section, pairs
 from pixsim.show.figures import new_figure
@@ -50,7 +51,7 @@ def score_document(score: Score) -> Document:
         command="score",
         kind="score of one picture",
         title="Score",
-        data=statistics,
+        data=result_data(statistics, settings={"display": score.display.model_dump(mode="json", exclude_none=True)}, notes=[]),
         answers=(Answer(_headline(score)),),
         lead=(Plot(lambda: score_plate(score)), *_sentences(score)),
         sections=(Section("statistics", "Statistics", (pairs("statistics", statistics),), brief=True),),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from pixsim.base.schema import result_data
 from pixsim.base.tables import Column, table_csv
 from pixsim.measure.sfr import COVERAGE, NYQUIST_CY_PER_PX, EdgeResponse
 from pixsim.show.document import Document, Plot, Section, headline
@@ -55,14 +56,14 @@ def sfr_data(edge: EdgeResponse) -> dict[str, Any]:
         "half_window_px": edge.half_window_px,
         "rows_used": edge.rows_used,
         "pitch_um": edge.pitch_um,
-        "notes": [note.as_dict() for note in edge.notes],
     }
     if edge.pitch_um is not None:
         px_per_mm = 1e3 / edge.pitch_um
         data["mtf50_cy_per_mm"] = None if mtf50 is None else mtf50 * px_per_mm
         data["mtf50_interval_cy_per_mm"] = [None if bound is None else bound * px_per_mm for bound in mtf50_interval]
         data["nyquist_cy_per_mm"] = NYQUIST_CY_PER_PX * px_per_mm
-    return data
+    settings = {"channel": edge.channel, "pitch_um": edge.pitch_um, "half_window_px": edge.half_window_px}
+    return result_data(data, settings=settings, notes=edge.notes, table="sfr.csv")
 
 
 def sfr_parts(data: Mapping[str, Any]) -> list[str]:

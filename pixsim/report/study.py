@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from pixsim.base.schema import result_data
 from pixsim.base.toml import SETTINGS_FILE
 from pixsim.report.curve import (
     closed_range,
@@ -17,6 +18,7 @@ from pixsim.report.curve import (
     curve_table,
     delta_e_against_pitch,
     numbers_table,
+    optima_data,
     optima_table,
     optimum_answer,
     range_columns,
@@ -70,6 +72,7 @@ from pixsim.studies.merit import (
 from pixsim.studies.regret import Regrets, metric_regrets
 from pixsim.studies.result import StudyResult
 from pixsim.studies.settings import Study
+from pixsim.studies.table import ROWS_FILE
 from pixsim.viewer.display import white_light
 
 if TYPE_CHECKING:
@@ -317,13 +320,15 @@ def document_of(
 def study_data(result: StudyResult) -> dict[str, Any]:
     """Return a study without axes and conditions as in summary.json."""
     entries = {"film": result.film and result.film.as_dict(), "chosen": result.view, "window_mm": result.study.window_mm}
-    return {name: value for name, value in entries.items() if value} | {
-        "study": result.study.model_dump(mode="json"),
+    settings = result.study.model_dump(mode="json")
+    content = {name: value for name, value in entries.items() if value} | {
+        "study": settings,
         "white_spectrum": white_light(result.irradiance)[1],
         "irradiance": result.irradiance.header,
-        "notes": [note.as_dict() for note in study_notes(result)],
         "curves": [curve_data(curve) | {"dark": result.dark(curve)} for curve in result.curves],
     }
+    optima = [optimum for curve in result.curves for optimum in optima_data(curve)]
+    return result_data(content, settings=settings, notes=study_notes(result), table=ROWS_FILE, optima=optima)
 
 
 ABOUT = (

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pixsim.base.digits import number
+from pixsim.base.schema import result_data
 from pixsim.base.tables import Column, csv_text
 from pixsim.show.document import Answer, Document, DocumentTable, Plot, Section
 from pixsim.show.figures import LOOKS, finish, literal, new_figure
@@ -49,7 +50,12 @@ def table_document(table: Table) -> Document:
         command="sweep",
         kind="evaluations",
         title="Evaluations",
-        data={"pixels": len(means), "rows": len(table), "metrics": [metric.name for metric in table.metrics]},
+        data=result_data(
+            {"pixels": len(means), "rows": len(table)},
+            settings={"metrics": [metric.name for metric in table.metrics]},
+            notes=[],
+            table="table.csv",
+        ),
         answers=(Answer(head),),
         lead=(Plot(lambda: table_plate(table)),),
         sections=(Section("means", "Means", (_means_table(table, means),), brief=True),),

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from pixsim.base.digits import span, with_error
+from pixsim.base.schema import result_data
 from pixsim.base.tables import rows_csv
 from pixsim.show.document import Answer, Block, Document, DocumentTable, Listed, Strong
 from pixsim.show.figures import literal, new_figure
@@ -24,15 +25,24 @@ def results_document(result: ResultsComparison) -> Document:
         command="compare",
         kind="two results",
         title=" against ".join(result.names),
-        data={
-            "names": list(result.names),
-            "verdicts": sentences,
-            "differences": [pair_data(pair) for pair in result.differences],
-            "only_in_one": result.only_in_one,
-        },
+        data=results_data(result, sentences),
         answers=[Answer((Strong(sentence),)) for sentence in sentences],
         lead=tuple(_facts(result)),
     )
+
+
+def results_data(result: ResultsComparison, sentences: Sequence[str]) -> dict[str, Any]:
+    """Return the JSON of two results.
+
+    sentences : of `verdicts`
+    """
+    content = {
+        "names": list(result.names),
+        "verdicts": list(sentences),
+        "differences": [pair_data(pair) for pair in result.differences],
+        "only_in_one": result.only_in_one,
+    }
+    return result_data(content, settings={"folders": list(result.names)}, notes=[])
 
 
 def results_csv(result: ResultsComparison) -> str:

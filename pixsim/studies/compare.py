@@ -44,7 +44,7 @@ from pixsim.studies.paired import FEWEST_PAIRS, Pairs
 from pixsim.studies.prepare import Types
 from pixsim.studies.sensors import PAIR, ComparisonJob, Match, SensorGroup, prepare
 from pixsim.studies.settings import Study, check_asked
-from pixsim.studies.table import COLUMNS, check_replaceable_results
+from pixsim.studies.table import COLUMNS, ROWS_FILE, check_replaceable_results
 from pixsim.studies.uncertainty import FEW_SENSORS, TYPES_FILE, PairUncertainty, sample_of
 from pixsim.viewer.chain import make_chain
 from pixsim.viewer.dark_clip import dark_clip
@@ -59,7 +59,6 @@ from pixsim.viewer.screen import warn_of_clipping, white_header
 # --- results that exist -----------------------------------------------------------------------------------------------------------
 
 RESULTS = {"score.json": "run", "summary.json": "study", "compare.json": "comparison"}
-ROWS_FILE = "results.csv"
 # What a header of light says of the pixels, not of the light itself.
 OF_PIXELS = {"plan", "bound_e", "spare_e", "render_noise"}
 
@@ -126,7 +125,11 @@ def _light_and_streams(content: Mapping[str, Any], kind: str) -> tuple[dict[str,
         return {name: sensor["irradiance"] for name, sensor in sensors.items()}, ("compare", content.get("seed"))
     study = content["study"]
     cases = content.get("cases", [])
-    lights = {json.dumps([case.get("at"), case.get("condition")], sort_keys=True): case["irradiance"] for case in cases}
+    lights = {
+        json.dumps([case["at"], case.get("condition")], sort_keys=True): case["irradiance"]
+        for case in cases
+        if "irradiance" in case
+    }
     return lights or {"": content["irradiance"]}, (study.get("streams") or study["name"], study.get("seed", 0))
 
 
@@ -368,7 +371,7 @@ def run_prepared(
     stage = progress or no_stage
     with collected_notes() as notes, ExitStack() as stack:
         folder = None if out is None else stack.enter_context(output_folder(out))
-        files = {name: None if folder is None else folder / name for name in ("results.csv", TYPES_FILE)}
+        files = {name: None if folder is None else folder / name for name in (ROWS_FILE, TYPES_FILE)}
         for file in filter(None, files.values()):
             check_replaceable_results(file)
         workers: Workers | None = None
@@ -379,7 +382,7 @@ def run_prepared(
         cases = [case for group in groups for case in group.cases]
         lit = lit_cases(cases, [light for light, _ in lights])
         _check(groups, lit)
-        table = evaluate_points(lit, files["results.csv"], workers, lambda: stage("sense and score"))
+        table = evaluate_points(lit, files[ROWS_FILE], workers, lambda: stage("sense and score"))
         sensors = tuple(
             compared_sensor(group, one, light, plan)
             for (group, one), (light, plan) in zip(_with_groups(groups, lit), lights, strict=True)

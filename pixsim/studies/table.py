@@ -28,7 +28,7 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import digest_of, kind_of, opened, replacing, version_of_files
 from pixsim.base.notes import Note, warn
 from pixsim.base.result import Result
-from pixsim.base.schema import KEY, SCHEMA, of_another
+from pixsim.base.schema import KEY, ROW_SCHEMAS, SCHEMA, of_another
 from pixsim.base.tables import csv_text, dataframe_of
 from pixsim.base.version import VERSION
 from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, PIXEL_STATISTICS, ROUNDING, Metric, columns_of_metrics, columns_with_numbers
@@ -157,6 +157,7 @@ def _moved(entries: Mapping[int, Any], places: NDArray[Any]) -> dict[int, Any]:
 
 # --- results.csv ------------------------------------------------------------------------------------------------------------------
 
+ROWS_FILE = "results.csv"  # a row for each evaluation
 COLUMNS = (*OF_PIXEL, *DELTA_E.columns)  # of results.csv of a study with ΔE alone
 TEXTS = COLUMNS[:2]
 MAX_BYTES = 1 << 31  # eight million rows
@@ -290,7 +291,7 @@ class Store:
                 for row in (reader := csv.DictReader(_lines(file))):
                     names = reader.fieldnames or ()
                     stated = row.get(KEY) if KEY in names else "" if TEXTS[0] in names else None
-                    if stated != str(SCHEMA):
+                    if stated not in map(str, ROW_SCHEMAS):
                         if stated == "" or (stated and stated.isdecimal()):  # else the row is damaged
                             self.another_schema = stated
                     elif self._is_whole(row):

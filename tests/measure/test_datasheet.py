@@ -16,6 +16,7 @@ from helpers.looks import grey_look
 import pixsim
 from pixsim.base.arrays import stream
 from pixsim.base.errors import PixsimError
+from pixsim.base.schema import SCHEMA
 from pixsim.light.quantities import MIN_FRACTION
 from pixsim.measure import datasheet, estimators
 from pixsim.measure.colour import colour_truth, measure_colour, noise_gain, smi
@@ -497,7 +498,7 @@ def test_datasheet_of_python_and_of_the_command_write_same_files(tmp_path: Path,
     )
     assert code == 0, err
     made = pixsim.datasheet(file, pixel={"bits": 12}, exposure={"integration_s": 0.01})
-    assert json.loads(out) == {"schema": 1} | json.loads(json.dumps(made.as_dict()))
+    assert json.loads(out) == {"schema": SCHEMA} | json.loads(json.dumps(made.as_dict()))
     written = {path: path.read_bytes() for path in (tmp_path / "command").rglob("*") if path.is_file()}
     assert {path.relative_to(tmp_path / "command").as_posix() for path in written} == {*PLANNED, "provenance.json"}
     assert made.to_csv().encode() == written[tmp_path / "command/datasheet.csv"]

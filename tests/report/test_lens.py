@@ -15,6 +15,7 @@ from helpers.commands import command
 from helpers.lenses import triplet
 
 import pixsim
+from pixsim.base.schema import SCHEMA
 from pixsim.measure.lens import lens_data
 from pixsim.report.lens import lens_document
 
@@ -74,7 +75,7 @@ def test_json_has_no_nan_and_options_change_the_lens(tmp_path: Path) -> None:
     assert [each["field_deg"] for each in content["fields"]] == [0.0]
     assert [each["wavelength_nm"] for each in content["first_order"]] == [500.0, 600.0]
     made = pixsim.lens("singlet", object_distance_m=1.0, field_deg=0.0, wavelength_nm=[500.0, 600.0])
-    assert content == {"schema": 1} | json.loads(json.dumps(made.as_dict()))
+    assert content == {"schema": SCHEMA} | json.loads(json.dumps(made.as_dict()))
     assert pixsim.write_report(made, tmp_path / "python") == tmp_path / "python/report.html"
     names = {path.relative_to(tmp_path / "out") for path in (tmp_path / "out").rglob("*") if path.is_file()}
     assert len(names) > 10

@@ -10,6 +10,7 @@ from helpers.browser import assert_fits, needs_browser
 from helpers.looks import Elements
 
 from pixsim.base.notes import Note
+from pixsim.base.schema import SCHEMA
 from pixsim.show import render
 from pixsim.show.document import (
     Answer,
@@ -99,7 +100,7 @@ def test_terminal_draws_nothing() -> None:
 
 
 def test_json_states_the_schema() -> None:
-    assert json.loads(render.json(document())) == {"schema": 1, "value": 1.5}
+    assert json.loads(render.json(document())) == {"schema": SCHEMA, "value": 1.5}
 
 
 def test_every_string_is_escaped() -> None:
