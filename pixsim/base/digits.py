@@ -12,6 +12,7 @@ MOST_DIGITS = 17  # which tell any two floats apart
 MAX_DIGITS = 4  # of a number with an error
 COARSE = (0.01, 1.0)  # errors that have one digit: a hundredth of a ΔE is not seen
 MAX_WRITTEN = 6  # significant digits of a number that somebody wrote; one with more was computed
+ROUNDING = 1e-9  # of a number; smaller errors are those of its arithmetic
 SURE = 0.999  # the largest probability that is stated
 
 
@@ -126,7 +127,9 @@ def with_error(value: float, error: float) -> str:
     ('12.35 ± 0.01', '1.234 ± 0.000')
     """
     decimals = MAX_DIGITS - 1 - _decade(value or error)
-    if error > 0:
+    if error <= ROUNDING * abs(value):
+        error, decimals = 0.0, min(decimals, MAX_DIGITS)
+    else:
         digits = 1 if COARSE[0] <= error < COARSE[1] else 2
         decimals = min(decimals, digits - 1 - _decade(error))
         error = max(error, 10.0**-decimals)
@@ -139,14 +142,24 @@ def _decade(value: float) -> int:
     return math.floor(math.log10(abs(value))) if value else 0
 
 
-def with_ends(value: float, ends: tuple[float, float], form: str) -> str:
-    """Return a number with the ends of its interval in brackets.
+def within_error(value: float, error: float) -> str:
+    """Return a number alone, with the digits of `with_error`; with four where the error is not known.
 
-    >>> with_ends(0.12, (0.0612, 0.22), ".2f")
-    '0.12 (0.06 to 0.22)'
+    >>> within_error(2.562, 0.04), within_error(2.562, float("inf"))
+    ('2.56', '2.562')
     """
-    low, high = (f"{end:{form}}" for end in ends)
-    return f"{value:{form}} ({low} to {high})"
+    return with_error(value, error).partition(" ")[0] if math.isfinite(error) else rounded(value, MAX_DIGITS)
+
+
+def with_ends(value: float, ends: tuple[float, float]) -> str:
+    """Return a number with the ends of its interval in brackets, with the digits that half of the interval allows.
+
+    >>> with_ends(0.1234, (0.0612, 0.22)), with_ends(10.52, (10.41, 10.64)), with_ends(2.0, (1.0, float("inf")))
+    ('0.12 (0.06 to 0.22)', '10.5 (10.4 to 10.6)', '2 (1 to ∞)')
+    """
+    half = (ends[1] - ends[0]) / 2
+    low, high = (within_error(end, half) if math.isfinite(end) else "∞" for end in ends)
+    return f"{within_error(value, half)} ({low} to {high})"
 
 
 def _without_exponent(text: str) -> str:

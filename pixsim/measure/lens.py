@@ -17,7 +17,7 @@ from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
 from pixsim.base.digits import f_stop
 from pixsim.base.errors import invalid
-from pixsim.base.notes import collected_notes
+from pixsim.base.notes import Note, collected_notes
 from pixsim.base.progress import Stage
 from pixsim.base.result import Result
 from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
@@ -101,7 +101,7 @@ class LensData(Result):
     curve_deg: Array
     curves: dict[str, Array]
     pitch_um: float | None
-    notes: Sequence[str] = ()
+    notes: Sequence[Note] = ()
     reflectance: float | None = None
 
     @cached_property
@@ -190,7 +190,7 @@ def lens_data(
     lens: Lens,
     wavelength_nm: Sequence[float] | None = None,
     pitch_um: float | None = None,
-    notes: Sequence[str] = (),
+    notes: Sequence[Note] = (),
     reflectance: float | None = None,
 ) -> LensData:
     """Trace a lens.

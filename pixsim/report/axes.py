@@ -99,7 +99,7 @@ def cases_data(result: CasesResult, regrets: Sequence[Regrets]) -> dict[str, Any
     cases: list[dict[str, Any]] = []
     for part, findings in zip(result.parts, result.findings or [()] * len(result.parts), strict=True):
         first = part.curves[0]
-        labels = {"condition": first.condition, "alone": first.alone}
+        labels: dict[str, Any] = {"condition": first.condition, "alone": first.alone}
         labels |= {"film": part.film and part.film.as_dict(), "agrees": {row.statement: row.agrees for row in findings}}
         light = {"irradiance": part.irradiance.header, "white_spectrum": white_light(part.irradiance)[1]}
         cases.append({"at": first.at} | {name: value for name, value in labels.items() if value} | light)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.digits import interval, with_ends
+from pixsim.base.digits import interval, with_ends, with_error
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.tables import Column, table_csv
 from pixsim.report.regret import regrets_data
@@ -87,11 +87,12 @@ def _optimum_details(curve: Curve) -> list[str]:
 
 
 def best_value_words(curve: Curve) -> str:
-    """Return the first metric at the optimum as text."""
+    """Return the first metric at the optimum as text, with half of its 95 % interval; of ΔE as `shown_mean_of`."""
     metric, best = curve.metrics[0], curve.optimum
-    return (
-        f"mean ΔE {shown_mean_of(curve, best.mean_delta_e)}" if metric.is_delta_e else f"{metric.title} {metric.shown(best.value)}"
-    )
+    if metric.is_delta_e:
+        return f"mean ΔE {shown_mean_of(curve, best.mean_delta_e)}"
+    low, high = best.value_interval
+    return f"{metric.title} {with_error(best.value, (high - low) / 2)} {metric.unit}".rstrip()
 
 
 def optima_table(curves: Sequence[Curve]) -> DocumentTable:
@@ -109,7 +110,7 @@ def optima_table(curves: Sequence[Curve]) -> DocumentTable:
                 size,
                 interval_words(curve),
                 f"{100 * best.between_sizes_share:.0f}",
-                _least_words(curve, ".3f" if by_delta_e else ".4g", sure or not by_delta_e),
+                _least_words(curve, sure or not by_delta_e),
                 *within,
                 *([f"{100 * curve.optimum_fill_factor:.0f}"] * partly),
             )
@@ -119,19 +120,21 @@ def optima_table(curves: Sequence[Curve]) -> DocumentTable:
     return DocumentTable("optima", (*head, *["fill factor (%)"] * partly), rows, words=None)
 
 
-def _least_words(curve: Curve, form: str, is_sure: bool) -> str:
+def _least_words(curve: Curve, is_sure: bool) -> str:
     """Return the best value of a curve, with its interval if the light is sure enough for one."""
     best = curve.optimum
-    return with_ends(best.value, best.value_interval, form) if is_sure else shown_mean_of(curve, best.mean_delta_e)
+    return with_ends(best.value, best.value_interval) if is_sure else shown_mean_of(curve, best.mean_delta_e)
 
 
 def shown_mean_of(curve: Curve, mean_delta_e: float) -> str:
     """Return a mean ΔE of a curve as text, with one warning: its largest cause or error of the light, if that is too large."""
     errors = curve.errors
+    low, high = curve.optimum.mean_delta_e_interval
+    scatter_delta_e = (high - low) / 2
     largest_error = max((delta_e for delta_e, _ in unmet(errors.light, errors.light_limit)), default=0.0)
     if errors.causes and errors.causes[0].delta_e >= largest_error:
-        return mean_words(mean_delta_e, errors.light, errors.light_limit, errors.causes[:1])
-    return shown_mean(mean_delta_e, errors.light, errors.light_limit)
+        return mean_words(mean_delta_e, errors.light, errors.light_limit, errors.causes[:1], scatter_delta_e=scatter_delta_e)
+    return shown_mean(mean_delta_e, errors.light, errors.light_limit, scatter_delta_e=scatter_delta_e)
 
 
 def no_difference_words(curve: Curve) -> str:

@@ -385,7 +385,7 @@ def facts(result: RunResult) -> Iterator[Block]:
     if repeats > 1 and result.interval_delta_e is not None:
         words = f"{repeats} sensors"
         if judged_by_delta_e(result):
-            sensors_delta_e = span(result.delta_e.min(), result.delta_e.max(), ".4f")
+            sensors_delta_e = span(result.delta_e.min(), result.delta_e.max(), ".3f")
             where = "" if result.is_spread else " of this registration"
             words += f": ΔE of {sensors_delta_e}, 95 % interval of their mean{where} {span(*result.interval_delta_e, '.4f')}"
         yield Fact(f"{words}; pictures and frames are of the first")
@@ -395,15 +395,16 @@ def facts(result: RunResult) -> Iterator[Block]:
 
 
 def metric_text(result: RunResult, metric: Metric) -> Text:
-    """Return what a metric beside ΔE says of a run, with the 95 % interval of several sensors."""
+    """Return what a metric beside ΔE says of a run, with half of the 95 % interval of several sensors; else that it is of one."""
     values = result.judged[metric.name]
     mean = float(values.mean())
     if math.isnan(mean):  # a note says why
         return f"{metric.words} is not given"
     low, high = result.interval(values, metric.columns[0]) or (mean, mean)
-    value = with_error(mean, (high - low) / 2) if high > low else f"{mean:.4g}"
+    value = with_error(mean, (high - low) / 2) if high > low else rounded(mean, 3)
+    judged = f"one {metric.judges}" if values.size == 1 else f"the {metric.judges}"
     seen = threshold_words(result, mean) if metric is DETECTABILITY else ""
-    return f"{metric.words} ", Strong(f"{value} {metric.unit}".rstrip()), f", of the {metric.judges}{seen}"
+    return f"{metric.words} ", Strong(f"{value} {metric.unit}".rstrip()), f", of {judged}{seen}"
 
 
 def threshold_words(result: RunResult, d_prime: float) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pixsim.base.digits import span, with_error
+from pixsim.base.digits import probability, span, with_error
 from pixsim.base.schema import result_data
 from pixsim.base.tables import rows_csv
 from pixsim.show.document import Answer, Block, Document, DocumentTable, Listed, Strong
@@ -102,7 +102,7 @@ def _facts(result: ResultsComparison) -> Iterator[Block]:
         row = pair_data(pair)
         is_one = row["interval"] is None
         interval = "" if is_one else span(row["interval"][0], row["interval"][1], "+.4g")
-        chance = "" if is_one else f"{row['probability_a_better']:.3f}"
+        chance = "" if is_one else probability(row["probability_a_better"], row["pairs"])
         values = [str(pair.place.get(name, "")) for name in labels]
         rows.append((*values, row["metric"], f"{row['difference']:+.4g}", interval, chance, str(row["pairs"])))
     yield DocumentTable("differences", head, rows, words=tuple(range(1, len(labels) + 1)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from pixsim.base.digits import exposure_time, probability, with_error
+from pixsim.base.digits import exposure_time, f_stop, probability, with_error
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.notes import Note
 from pixsim.sensor.labels import label_of
@@ -299,7 +299,7 @@ def _words_of_group(job: ComparisonJob, group: SensorGroup) -> list[str]:
     first, camera, display = group.first.sensor, group.first.camera, group.display
     field_words = f"the same field of {camera.field_words}"
     lens = {
-        "view": f"{field_words}, f/{camera.f_number:.3g} and focus at {camera.object_distance_m:g} m, as {first}",
+        "view": f"{field_words}, {f_stop(camera.f_number)} and focus at {camera.object_distance_m:g} m, as {first}",
         "lens": f"one lens, that of {first} ({camera.lens_words}), and {field_words}, which all have",
         "own": f"each file's own lens, and {field_words}, which all have",
     }[job.match]

@@ -519,7 +519,7 @@ class Probability:
     def __str__(self) -> str:
         from pixsim.base.digits import with_ends
 
-        return with_ends(self.probability, (self.low, self.high), ".2f")
+        return with_ends(self.probability, (self.low, self.high))
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 
 from pixsim.base.arguments import Bounds, NotNegative, checks_fields
 from pixsim.base.arrays import Array
-from pixsim.base.digits import exposure_time, told_apart, with_error
+from pixsim.base.digits import exposure_time, told_apart, with_error, within_error
 from pixsim.base.errors import invalid
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.notes import Note
@@ -219,23 +219,34 @@ def unmet(error: LightError, limit: LightError) -> list[tuple[float, str]]:
 
 
 def shown_mean(
-    mean_delta_e: float, error: LightError, limit: LightError, causes: Sequence[Cause] = (), half_delta_e: float = 0.0
+    mean_delta_e: float,
+    error: LightError,
+    limit: LightError,
+    causes: Sequence[Cause] = (),
+    half_delta_e: float = 0.0,
+    scatter_delta_e: float = 0.0,
 ) -> str:
     """Return `mean_words`, and whether the errors of the light are below their limits.
 
     >>> shown_mean(0.9731, LightError(), LightError()), shown_mean(0.9731, LightError(0.6), LightError(0.02))
     ('0.973', '1.0 ± 0.6 (film), not converged')
     """
-    words = mean_words(mean_delta_e, error, limit, causes, half_delta_e)
+    words = mean_words(mean_delta_e, error, limit, causes, half_delta_e, scatter_delta_e)
     return words if converged(error, limit) else f"{words}, {NOT_CONVERGED}"
 
 
 def mean_words(
-    mean_delta_e: float, error: LightError, limit: LightError, causes: Sequence[Cause] = (), half_delta_e: float = 0.0
+    mean_delta_e: float,
+    error: LightError,
+    limit: LightError,
+    causes: Sequence[Cause] = (),
+    half_delta_e: float = 0.0,
+    scatter_delta_e: float = 0.0,
 ) -> str:
     """Return a mean ΔE as text, with the film's error if that is above its limit, and with its largest cause.
 
     half_delta_e : half of its 95 % interval, of several sensors
+    scatter_delta_e : likewise, of an estimate whose interval is not stated: it has no more digits than that allows
 
     "…" stands for smaller causes, which the lines below a headline name.
 
@@ -250,7 +261,7 @@ def mean_words(
     is_film_met = converged(replace(error, noise_delta_e=None), limit)
     film_delta_e = 0.0 if is_film_met or error.film_delta_e is None else error.film_delta_e
 
-    value, uncertainty = f"{mean_delta_e:.3f}", ""
+    value, uncertainty = within_error(mean_delta_e, scatter_delta_e) if scatter_delta_e else f"{mean_delta_e:.3f}", ""
     if math.isnan(film_delta_e):
         uncertainty = " ± an unknown error (film)"
     elif film_delta_e or half_delta_e:

@@ -59,7 +59,8 @@ def curves() -> Iterator[Any]:
     chosen = product(intervals, (True, False), (None, (1.25, 12.74), (0.47, 15.0)), (False, True), FILMS, NOISES, NAMED)
     for interval, inside, alike, swings, film, header, causes in chosen:
         within = {"within_1_percent_um": (None, None), "within_2_percent_um": (None, None)}
-        best = SimpleNamespace(pitch_um=7.5, inside=inside, mean_delta_e=76.5, interval_um=interval, **within)
+        value = {"mean_delta_e": 76.5, "mean_delta_e_interval": (75.2, 77.8)}
+        best = SimpleNamespace(pitch_um=7.5, inside=inside, interval_um=interval, **value, **within)
         other = SimpleNamespace(dots=1024, optimum=best)
         light, limit = light_error_and_limit(header, film)
         yield SimpleNamespace(

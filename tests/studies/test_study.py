@@ -106,7 +106,8 @@ def test_study_notes_reach_result_summary_page_and_json(tmp_path: Path) -> None:
     expected = [note.replace("--display.white-cd-per-m2", "Display(white_cd_per_m2=…)") for note in texts]
     for folder in ("python", "out"):
         with pytest.warns(UserWarning, match="brighter than display white"):
-            assert pixsim.study(tiny_study(**over), tmp_path / folder, jobs=1).as_dict()["notes"] == expected
+            notes = pixsim.study(tiny_study(**over), tmp_path / folder, jobs=1).as_dict()["notes"]
+        assert [note["text"] for note in notes] == expected
 
 
 # 0: whole; 4: within the last number, which still reads as one (lines end in \r\n); 60: in an earlier column; 2000: rows are gone.
