@@ -323,6 +323,7 @@ def study(
     from pixsim.report.outline import outline_document, study_outline
     from pixsim.report.study import report_files, study_document
     from pixsim.report.uncertainty import uncertainty_files
+    from pixsim.show.figures import ready_to_draw
     from pixsim.show.render import write
     from pixsim.studies.design import MANY_CASES, MAX_CASES, check_number, number_of_cases
     from pixsim.studies.dry_run import fitting_jobs
@@ -365,9 +366,8 @@ def study(
         check_replaceable(folder, names)
         with stages(seconds) as stage:
             with said_what_is_kept(folder):
-                result = run_prepared(
-                    job, folder, jobs=jobs, scheduler=scheduler, progress=stage, agreed=options.yes, spreads=spreads, asked=asked
-                )
+                how = {"jobs": jobs, "scheduler": scheduler, "progress": ready_to_draw(stage), "agreed": options.yes}
+                result = run_prepared(job, folder, **how, spreads=spreads, asked=asked)
                 stage("report")
                 first = result.cases[0]
                 drawing = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()

@@ -28,7 +28,7 @@ from pixsim.show.document import (
     joined,
     plain_text,
 )
-from pixsim.show.figures import LOOKS, Look, literal, new_figure
+from pixsim.show.figures import LOOKS, Look, fix_margins, literal, new_figure
 from pixsim.show.pages import Drawing, figure
 from pixsim.show.presenter import Presenter
 from pixsim.studies.curve import Curve, shown_mean_and_ci95
@@ -292,6 +292,7 @@ def delta_e_against_pitch(curves: Sequence[Curve]) -> Drawing:
     """Draw the first metric of curves against pixel size, with their optima."""
     drawing = new_figure(6.4, 4.0)
     axes = drawing.subplots()
+    fix_margins(drawing, top_in=0.5)
     for curve, look in zip(curves, cycle(LOOKS), strict=False):
         draw_curve(axes, curve, look)
     axes.set(xlabel="pixel size (µm)", ylabel=curves[0].metric.label)
@@ -300,7 +301,14 @@ def delta_e_against_pitch(curves: Sequence[Curve]) -> Drawing:
     axes.legend(frameon=False, fontsize=8, loc="upper center" if len(curves) == 1 else "lower right")
     if len(curves) == 1:
         annotate_curve(axes, curves[0])
-    return drawing, curve_table(curves)
+    fitted = np.concatenate([fitted_at(curve, curve.pitch_um) for curve in curves]).tolist()
+    return drawing, curve_table(curves) | {f"fitted_{curves[0].metric.columns[0]}": fitted}
+
+
+def fitted_at(curve: Curve, pitch_um: Array) -> Array:
+    """Return the fitted first metric at pixel sizes; NaN beyond those of the curve."""
+    values = curve.metric.of_loss(curve.fit.delta_e)
+    return np.interp(np.log(pitch_um), np.log(curve.fit.pitch_um), values, left=np.nan, right=np.nan)
 
 
 def fresnel_column(curves: Sequence[Curve], pitch_um: Sequence[float]) -> dict[str, Column]:

@@ -20,7 +20,7 @@ from pixsim.base.records import content_hash
 from pixsim.base.tables import Column
 from pixsim.base.units import unit_of
 from pixsim.optics.camera import Camera
-from pixsim.report.curve import closed_range, fresnel_column, range_columns
+from pixsim.report.curve import closed_range, fitted_at, fresnel_column, range_columns
 from pixsim.sensor.labels import labels_of
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, Look, literal, new_figure, plain_powers
 from pixsim.show.pages import Drawing, Plate, figure
@@ -460,12 +460,6 @@ def map_along(grid: Grid, scale: Scale) -> Drawing:
             axes.plot(x, size_um, "o", ms=4.5, mfc=face, mec=edge, clip_on=False, zorder=5)
     figure.suptitle(grid.title(held, len(lines), total, [scale]), fontsize=SMALL_PT)
     return figure, map_table(grid, lines, sizes.places)
-
-
-def fitted_at(curve: Curve, pitch_um: Array) -> Array:
-    """Return the fitted first metric at pixel sizes; NaN beyond those of the curve."""
-    values = curve.metric.of_loss(curve.fit.delta_e)
-    return np.interp(np.log(pitch_um), np.log(curve.fit.pitch_um), values, left=np.nan, right=np.nan)
 
 
 def map_table(grid: Grid, lines: Sequence[Line], pitch_um: Array) -> dict[str, Column]:

@@ -13,13 +13,14 @@ import scipy  # whose parts are imported when they are used
 from pixsim.base.arrays import Array
 from pixsim.report.pictures import CONTRAST_LABEL, picture_axes
 from pixsim.report.views import draw_iso, map_end, study_pictures
-from pixsim.show.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, draw_picture, draw_terms, new_figure
+from pixsim.show.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, draw_picture, draw_terms, fix_margins, new_figure
 from pixsim.show.pages import Drawing, Plate, coarse_table, figure
 from pixsim.studies.claims import (
     FIGURE_2B_PITCHES_UM,
     FIGURE_6_PITCHES_UM,
     OPTIMUM_UM,
     REFERENCE_TECHNOLOGY,
+    SENSORS,
     Evidence,
     dr_and_snr_db,
     frequency_contrast_table,
@@ -71,6 +72,7 @@ def figure_2a(result: StudyResult) -> Drawing:
     pitch_um, process = np.geomspace(5.3, 15.0, 40), reference_process(result.study)
     figure = new_figure(6.0, 3.8)
     axes = figure.subplots()
+    fix_margins(figure)
     table: dict[str, Array] = {"pitch_um": pitch_um}
     looks = iter(LOOKS)
     for capacitance in ("paper", "mosis"):
@@ -97,6 +99,7 @@ def figure_2b(result: StudyResult) -> Drawing:
     frequency = relative * SIX_UM_NYQUIST_CY_PER_MM
     figure = new_figure(9.0, 3.9)
     axes, terms_axes = figure.subplots(1, 2, sharey=True)
+    fix_margins(figure, bottom_in=0.65)
     table: dict[str, Array] = {"frequency_over_6um_nyquist": relative, "frequency_lp_per_mm": frequency}
     for pitch_um, look in zip(FIGURE_2B_PITCHES_UM, LOOKS, strict=False):
         physics = result.physics(REFERENCE_TECHNOLOGY, pitch_um)
@@ -174,7 +177,7 @@ def figure_5(evidence: Evidence) -> Plate:
     result, curve = evidence.result, evidence.curves[REFERENCE_TECHNOLOGY]
     (score,) = result.shown_scores(curve.technology, FIGURE_5_PITCH_UM, 1)
     name = "figure_5_pictures_8um"
-    return numbered(study_pictures(result, curve, score, evidence.sensor_maps[FIGURE_5_PITCH_UM]), 5, name)
+    return numbered(study_pictures(result, curve, score, evidence.maps[FIGURE_5_PITCH_UM], SENSORS), 5, name)
 
 
 @figure(

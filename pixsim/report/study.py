@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
-from functools import partial
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from concurrent.futures import Future, wait
+from dataclasses import asdict, dataclass, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec
 
 import numpy as np
 
@@ -49,12 +49,12 @@ from pixsim.show.document import (
     made_with,
     pairs,
 )
-from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, literal, new_figure
+from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, drawing_thread, fix_margins, literal, new_figure
 from pixsim.show.pages import Drawing, Drawn, Figures, Plate, figure, figure_files
 from pixsim.show.pictures import scale
 from pixsim.show.render import lines
 from pixsim.show.sentences import capital
-from pixsim.studies.claims import REFERENCE_TECHNOLOGY, Evidence, Finding, findings
+from pixsim.studies.claims import FIGURE_6_PITCHES_UM, REFERENCE_TECHNOLOGY, Evidence, Finding, SizeMaps, findings, size_maps
 from pixsim.studies.curve import Curve
 from pixsim.studies.design import imaging_of
 from pixsim.studies.engine import Workers, results_of
@@ -76,8 +76,11 @@ from pixsim.studies.table import ROWS_FILE
 from pixsim.viewer.display import white_light
 
 if TYPE_CHECKING:
+    from pixsim.base.arrays import Array
     from pixsim.viewer.noise_budget import NoiseBudget
+    from pixsim.viewer.score import FrameScore
 
+P = ParamSpec("P")
 NO_BUDGETS: Mapping[str, NoiseBudget] = MappingProxyType({})
 ANSWERS_SHOWN = 12  # optima at the top
 LEGEND_HEADROOM = 1.35  # over the highest point, for a legend of three lines
@@ -88,6 +91,7 @@ def other_statistics(curve: Curve) -> Drawing:
     """Plot the mean, percentiles and maximum of ΔE against pitch, each over its minimum."""
     figure = new_figure(6.4, 3.6)
     axes = figure.subplots()
+    fix_margins(figure)
     for (name, values), look in zip(curve.means.items(), LOOKS, strict=False):
         label = f"{name.removesuffix('_delta_e')}: minimum {values.min():.2f} at {curve.pitch_um[values.argmin()]:.2f} µm"
         axes.plot(curve.pitch_um, values / values.min(), ms=3.5, lw=1, label=label, **look.line)
@@ -113,6 +117,7 @@ def optimum_against_technology(result: StudyResult) -> Drawing:
     low_um, high_um = np.array([closed_range(curve.optimum.interval_um, curve) for curve in curves]).T
     figure = new_figure(5.4, 4.0)
     axes = figure.subplots()
+    fix_margins(figure)
     bars = np.maximum([size_um - low_um, high_um - size_um], 0.0)
     axes.errorbar(feature_um, size_um, bars, fmt="o", color=COLOURS[0], lw=2, capsize=4, label="optimum, 95 % interval")
     proportional = size_um[-1] / feature_um[-1] * feature_um
@@ -149,6 +154,7 @@ def light_against_detail(result: StudyResult, curve: Curve) -> Drawing:
     mpe30 = [mpe30_lx_s(result, physics) for physics in pixels]
     figure = new_figure(6.4, 6.8)
     axes, lower = figure.subplots(2, 1, sharex=True)
+    fix_margins(figure, right_in=0.75)
     detail = axes.plot(curve.pitch_um, mtf50, "o-", ms=4, color=COLOURS[0], label="MTF50 on the sensor (left axis)")
     detail += axes.plot(curve.pitch_um, shown50, "^:", ms=4, color=COLOURS[0], label="MTF50 on the display (left axis)")
     axes.set_ylabel("MTF50 (lp/mm): detail", color=COLOURS[0])
@@ -177,55 +183,100 @@ def light_against_detail(result: StudyResult, curve: Curve) -> Drawing:
 
 # In the paper, of curves that any study has.
 FIGURE_NUMBERS = {"delta_e_against_pitch": 7, "delta_e_against_pitch_all": 8, "optimum_against_technology": 9}
-# Sections of the page, and the kinds of groups in them.
-HEADINGS = {
-    "curves": ("curves", "statistics"),
-    "limits": ("limits",),
-    "maps": ("pictures",),
-    "paper": ("paper's scene", "paper's maps"),
-}
 
 
-class FigureGroup(NamedTuple):
-    """Figures drawn together: curves, pictures (of one technology), statistics, limits, the paper's scene, the paper's maps."""
+class PictureTask(NamedTuple):
+    """What a worker makes: the pictures of a technology, or the ΔE maps of one of the paper's pixel sizes."""
 
     number: int
-    kind: str
-    technology: str = ""
+    technology: str
+    pitch_um: float | None = None
 
     def __str__(self) -> str:
-        return f"figures of {self.technology or self.kind}"
+        return f"pictures of {self.technology}" if self.pitch_um is None else f"maps of {self.pitch_um:g} µm pixels"
 
 
-def draw_section(
-    section: FigureGroup, result: StudyResult, figures: Figures = "svg"
-) -> tuple[FigureGroup, list[Drawn], Views | None, list[Finding]]:
-    """Return a group, its figures, its pictures, and its statements of the paper."""
+class SensorPictures(NamedTuple):
+    """Pictures of the best of the sizes tried of a technology.
+
+    score : of the first sensor
+    mean : (H, W) mean ΔE map of `sensors` sensors
+    views : details and whole pictures of all sizes
+    """
+
+    curve: Curve
+    score: FrameScore
+    mean: Array
+    sensors: int
+    views: Views
+
+    def plate(self, result: StudyResult) -> Plate:
+        """Return their figure."""
+        plate = study_pictures(result, self.curve, self.score, self.mean, self.sensors)
+        return plate.named(f"pictures_{self.curve.file_label}")
+
+
+def make_pictures(task: PictureTask, result: StudyResult) -> tuple[PictureTask, SensorPictures | SizeMaps]:
+    """Return what a worker makes, with its task; it imports no Matplotlib."""
+    if task.pitch_um is not None:
+        return task, size_maps(result, task.pitch_um)
+    curve = next(curve for curve in result.curves if curve.technology == task.technology)
+    pitch_um = float(curve.pitch_um[best_place(curve)])
+    sensors = min(SENSORS_SHOWN, result.sensors_at(curve.technology, pitch_um))
+    scores = result.shown_scores(curve.technology, pitch_um, sensors)
+    mean = np.mean([score.delta_e for score in scores], axis=0)
+    return task, SensorPictures(curve, scores[0], mean, sensors, study_views(result, curve, scores[0]))
+
+
+@dataclass(frozen=True)
+class StudyFigures:
+    """The figures and pictures of a study's page, and the statements of the paper that it checks."""
+
+    curves: Sequence[Drawn]
+    limits: Sequence[Drawn]
+    maps: Sequence[Drawn]
+    paper: Sequence[Drawn]
+    views: Sequence[Views]
+    statements: Sequence[Finding]
+
+
+def study_figures(result: StudyResult, workers: Workers, figures: Figures) -> StudyFigures:
+    """Return the figures of a study's page: a thread of this process draws while workers make pictures and maps."""
     by_name = {curve.technology: curve for curve in result.curves}
-    first = by_name.get(REFERENCE_TECHNOLOGY, result.curves[0])
-    rows: list[Finding] = []
-    views = None
-    if section.kind == "curves":
-        plates = plates_of_curves(result, first)
-    elif section.kind == "pictures":
-        curve = by_name[section.technology]
-        pitch_um = float(curve.pitch_um[best_place(curve)])
-        # A data sheet's sensor may have many millions of pixels: no more of them than the study simulated.
-        count = SENSORS_SHOWN if result.study.own_um is None else min(SENSORS_SHOWN, result.sensors_at(curve.technology, pitch_um))
-        scores = result.shown_scores(curve.technology, pitch_um, count)
-        plate = study_pictures(result, curve, scores[0], [score.delta_e for score in scores])
-        plates = [plate.named(f"pictures_{curve.file_label}")]
-        views = study_views(result, curve, scores[0])
-    elif section.kind == "statistics":
-        plates = [other_statistics(first)] if first.judged_by_delta_e else []
-    elif section.kind == "limits":
-        plates = [light_against_detail(result, first)]
-    elif section.kind == "paper's scene":
-        plates = scene_plates(result)
-    else:
-        evidence = Evidence(result, by_name)
-        rows, plates = findings(evidence), map_plates(evidence)
-    return section, [plate.drawn(figures) for plate in plates], views, rows
+    first, paper = by_name.get(REFERENCE_TECHNOLOGY, result.curves[0]), result.study.paper
+    kinds: list[tuple[str, float | None]] = [(curve.technology, None) for curve in result.curves if curve.has_delta_e]
+    kinds += [(REFERENCE_TECHNOLOGY, pitch_um) for pitch_um in FIGURE_6_PITCHES_UM if paper]
+    tasks = [PictureTask(number, *kind) for number, kind in enumerate(kinds)]
+
+    def shared() -> StudyResult:  # one function for all calls, so that workers share the result
+        return result
+
+    with drawing_thread() as pool:
+
+        def draw(make: Callable[P, Sequence[Plate]], *args: P.args, **options: P.kwargs) -> Future[list[Drawn]]:
+            return pool.submit(lambda: [plate.drawn(figures) for plate in make(*args, **options)])
+
+        curves = draw(plates_of_curves, result, first)
+        limits = draw(lambda: [light_against_detail(result, first)])
+        scene = draw(scene_plates, result) if paper else None
+        if workers.jobs == 1:  # nothing else computes meanwhile
+            wait([future for future in (curves, limits, scene) if future])
+
+        made = dict(sorted(results_of(make_pictures, [(task, shared) for task in tasks], workers)))
+        pictures = [part for part in made.values() if isinstance(part, SensorPictures)]
+        maps = draw(lambda: [part.plate(result) for part in pictures])
+        sizes = {task.pitch_um or 0.0: part for task, part in made.items() if isinstance(part, SizeMaps)}
+        evidence = Evidence(result, by_name, sizes)
+        statements = findings(evidence) if paper else []
+        others = draw(map_plates, evidence) if paper else None
+        return StudyFigures(
+            curves=curves.result(),
+            limits=limits.result(),
+            maps=maps.result(),
+            paper=[drawn for future in (scene, others) if future for drawn in future.result()],
+            views=[part.views for part in pictures],
+            statements=statements,
+        )
 
 
 def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
@@ -243,6 +294,8 @@ def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
         processes = not any(curve.data_sheet for curve in result.curves)
         if processes and len({curve.feature_size_um for curve in result.curves}) > 1:
             plates.append(optimum_against_technology(result))
+    if first.judged_by_delta_e:
+        plates.append(other_statistics(first))
     if not result.study.paper:
         return plates
     numbers = FIGURE_NUMBERS
@@ -352,24 +405,9 @@ def study_page(
     figures : "pdf" draws a PDF beside each SVG
     budgets : of `noise_budgets`
     """
-    study = result.study
-    pictures = [("pictures", curve.technology) for curve in result.curves if curve.has_delta_e]
-    kinds = [("curves", ""), *pictures, ("statistics", ""), ("limits", "")]
-    kinds += [("paper's scene", ""), ("paper's maps", "")] if study.paper else []
-    longest_first = reversed([FigureGroup(number, kind, technology) for number, (kind, technology) in enumerate(kinds)])
-
-    def shared() -> StudyResult:  # one function for all calls, so that workers share the result
-        return result
-
-    groups = sorted(results_of(partial(draw_section, figures=figures), [(group, shared) for group in longest_first], workers))
-    rows = [row for *_, findings_rows in groups for row in findings_rows]
-    views = [view for _, _, view, _ in groups if view]
-    plots = {
-        heading: [plot_of(plate) for group, drawn, _, _ in groups if group.kind in kinds for plate in drawn]
-        for heading, kinds in HEADINGS.items()
-    }
-    first, *curves = plots["curves"]
-    brief = study_document(result)
+    drawings = study_figures(result, workers, figures)
+    first, *curves = map(plot_of, drawings.curves)
+    brief, rows = study_document(result), drawings.statements
     numbers = [numbers_table(curve) for curve in result.curves]
     made = [*_about(result), _rendered(result), made_with(pairs("seconds", seconds, 2))]
     return replace(
@@ -378,19 +416,19 @@ def study_page(
         lead=(first, *brief.lead),
         sections=(
             Section("optima", "Optima", [optima_table(result.curves)] if len(result.curves) > 1 else ()),
-            Section("see", "Pictures", _pictures(result, views)),
+            Section("see", "Pictures", _pictures(result, drawings.views)),
             Section("paper", "Statements of the paper", _paper(rows)),
             Section("curves", "Further curves", curves),
             budgets_section(budgets),
-            Section("limits", "What limits these pixels", [limits_table(result), *plots["limits"]]),
+            Section("limits", "What limits these pixels", [limits_table(result), *map(plot_of, drawings.limits)]),
             Section("settings", "Settings", settings_blocks(settings(result))),
             *_technologies(result),
             Section("numbers", "Numbers", numbers, folded=True),
-            Section("maps", "Whole pictures and maps", plots["maps"], folded=True),
-            Section("figures", "The paper's other figures", plots["paper"], folded=True),
+            Section("maps", "Whole pictures and maps", map(plot_of, drawings.maps), folded=True),
+            Section("figures", "The paper's other figures", map(plot_of, drawings.paper), folded=True),
             Section("made", "How this was computed", made, folded=True),
         ),
-        files={f"figures/contact_sheet_{view.file_label}.png": view.sheet for view in views},
+        files={f"figures/contact_sheet_{view.file_label}.png": view.sheet for view in drawings.views},
     )
 
 

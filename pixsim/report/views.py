@@ -55,9 +55,9 @@ LEAST = "least error tried"  # "best" is the optimum, which may lie between the 
     "The ideal image, the picture of one sensor, its ΔE map, and curves of equal ΔE of the smoothed mean map of several sensors, "
     "which is in the table.",
 )
-def study_pictures(result: StudyResult, curve: Curve, score: FrameScore, maps: Sequence[Array]) -> Drawing:
+def study_pictures(result: StudyResult, curve: Curve, score: FrameScore, mean: Array, sensors: int) -> Drawing:
     """Show the ideal image, the image of one sensor, its ΔE map, and curves of equal ΔE of the mean map of several sensors."""
-    mean, pitch_um = np.mean(maps, axis=0), score.physics.pitch_um
+    pitch_um = score.physics.pitch_um
     smooth = scipy.ndimage.gaussian_filter(mean, ISO_SMOOTHING_DOTS, mode="nearest")
     figure = new_figure(8.6, 7.6)
     figure.set_layout_engine(None)  # fixed margins: the automatic layout takes a fifth of the drawing time
@@ -70,7 +70,7 @@ def study_pictures(result: StudyResult, curve: Curve, score: FrameScore, maps: S
     draw_picture(image, score.image, where)
     map_.set_title(f"ΔE map, mean {score.mean_delta_e:.3f}")
     draw_delta_e(map_, figure.add_subplot(grid[1, 1]), score.delta_e, where, map_end(result))
-    iso.set_title(f"curves of equal ΔE, mean of {len(maps)} sensors")
+    iso.set_title(f"curves of equal ΔE, mean of {sensors} sensors")
     level = result.study.iso_delta_e
     levels = [level / 3, 2 * level / 3, level, 5 * level / 3]
     lines = [(value, look, 2.2 if value == level else 1, f"ΔE = {value:g}") for value, look in zip(levels, LOOKS, strict=False)]

@@ -8,9 +8,11 @@ import os
 import re
 import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import cache
+from threading import Thread
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -18,6 +20,7 @@ import numpy as np
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.base.lazy import RC_FILE, leave_out_docstrings_of_matplotlib
+from pixsim.base.progress import Progress, Stage
 from pixsim.base.shared_block import SharedBlock
 from pixsim.show.pictures import VIEWING_GAMMA, PictureAxes, smallest_png
 
@@ -122,6 +125,42 @@ def own_style() -> Iterator[None]:
         yield
 
 
+def import_matplotlib() -> None:
+    """Import what a figure and its SVG need, which takes longer than to draw one: in a thread, while workers evaluate."""
+    with own_style():
+        import matplotlib.backends.backend_agg
+        import matplotlib.backends.backend_svg
+        import matplotlib.figure  # noqa: F401
+
+
+def ready_to_draw(stage: Stage) -> Stage:
+    """Return a `Stage` that starts to import Matplotlib, in a thread, as soon as workers have made the first evaluations."""
+    started = []
+
+    def begin(name: str) -> Progress:
+        report = stage(name)
+
+        def progress(*done: Any) -> None:
+            if not started:
+                started.append(Thread(target=import_matplotlib, name="pixsim figures"))
+                started[0].start()
+            report(*done)
+
+        return progress if name == "evaluate" else report
+
+    return begin
+
+
+@contextmanager
+def drawing_thread() -> Iterator[ThreadPoolExecutor]:
+    """Provide one thread that draws figures one after the other; those that wait are given up if the block fails."""
+    pool = ThreadPoolExecutor(1, "pixsim figures")
+    try:
+        yield pool
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
 def new_figure(width_in: float, height_in: float) -> Figure:
     """Return a figure that needs no display and is saved to the same bytes every time. Call and fill it in `own_style`."""
     assert _styled.is_running, "a figure takes its style from the settings while it is filled"
@@ -131,6 +170,32 @@ def new_figure(width_in: float, height_in: float) -> Figure:
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+def fix_margins(
+    figure: Figure,
+    left_in: float = 0.65,
+    right_in: float = 0.15,
+    bottom_in: float = 0.5,
+    top_in: float = 0.3,
+    between_in: float = 0.2,
+) -> None:
+    """Set the margins of a figure's panels, where their labels are known to have room: computing them takes half of a drawing.
+
+    between_in : between panels side by side or above one another
+    """
+    width_in, height_in = figure.get_size_inches()
+    figure.set_layout_engine(None)
+    rows, columns = figure.axes[0].get_subplotspec().get_gridspec().get_geometry()
+    panel_in = (width_in - left_in - right_in + between_in) / columns, (height_in - bottom_in - top_in + between_in) / rows
+    figure.subplots_adjust(
+        left=left_in / width_in,
+        right=1 - right_in / width_in,
+        bottom=bottom_in / height_in,
+        top=1 - top_in / height_in,
+        wspace=between_in / (panel_in[0] - between_in),
+        hspace=between_in / (panel_in[1] - between_in),
+    )
 
 
 def literal(text: str) -> str:

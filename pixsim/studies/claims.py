@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import scipy  # whose parts are imported when they are used
@@ -84,36 +84,52 @@ class Finding:
     agrees: bool
 
 
+class SizeMaps(NamedTuple):
+    """ΔE maps of the first `SENSORS` sensors of a pixel size.
+
+    mean : (H, W), over the sensors
+    first : (H, W), of the first sensor
+    border : fractions of the chart's height and width that the maps omit on each side
+    """
+
+    mean: Array
+    first: Array
+    border: tuple[float, float]
+
+
+def size_maps(result: StudyResult, pitch_um: float) -> SizeMaps:
+    """Return the ΔE maps of a pixel size in the reference technology."""
+    height_um, width_um = picture_size_um(result.irradiance)
+    scores = result.shown_scores(REFERENCE_TECHNOLOGY, pitch_um, SENSORS)
+    down_um, across_um = scores[0].border_um
+    mean = np.mean([score.delta_e for score in scores], axis=0)
+    return SizeMaps(mean, scores[0].delta_e, (down_um / height_um, across_um / width_um))
+
+
 @dataclass(frozen=True)
 class Evidence:
-    """A study and the ΔE maps with which the statements are checked."""
+    """A study and the ΔE maps with which the statements are checked.
+
+    made : `size_maps` of the pixel sizes of Figure 6 where they are made already, such as by workers
+    """
 
     result: StudyResult
     curves: dict[str, Curve] = field(repr=False)
+    made: Mapping[float, SizeMaps] = field(repr=False, default_factory=dict)
 
     @cached_property
-    def maps(self) -> dict[float, Array]:
-        """Pitch -> mean ΔE map of the first eight sensors in the reference technology."""
-        return {pitch: np.mean(maps, axis=0) for pitch, maps in self.sensor_maps.items()}
+    def sizes(self) -> Mapping[float, SizeMaps]:
+        """Pitch -> ΔE maps."""
+        return self.made or {pitch_um: size_maps(self.result, pitch_um) for pitch_um in FIGURE_6_PITCHES_UM}
 
     @property
-    def sensor_maps(self) -> dict[float, list[Array]]:
-        """Pitch -> ΔE maps of those sensors."""
-        return self._maps_and_borders[0]
+    def maps(self) -> dict[float, Array]:
+        """Pitch -> mean ΔE map of the first eight sensors in the reference technology."""
+        return {pitch_um: maps.mean for pitch_um, maps in self.sizes.items()}
 
     def border(self, pitch_um: float) -> tuple[float, float]:
         """Return the fractions of the chart's height and width that the maps of a pitch omit on each side."""
-        return self._maps_and_borders[1][pitch_um]
-
-    @cached_property
-    def _maps_and_borders(self) -> tuple[dict[float, list[Array]], dict[float, tuple[float, float]]]:
-        height_um, width_um = picture_size_um(self.result.irradiance)
-        maps, borders = {}, {}
-        for pitch in FIGURE_6_PITCHES_UM:
-            scores = self.result.shown_scores(REFERENCE_TECHNOLOGY, pitch, SENSORS)
-            down_um, across_um = scores[0].border_um
-            maps[pitch], borders[pitch] = [score.delta_e for score in scores], (down_um / height_um, across_um / width_um)
-        return maps, borders
+        return self.sizes[pitch_um].border
 
     @cached_property
     def thresholds(self) -> dict[float, Array]:
@@ -303,7 +319,7 @@ def _iso_rows(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _map_rows(evidence: Evidence) -> Iterator[Finding]:
-    count = modes(evidence.sensor_maps[8.0][0])
+    count = modes(evidence.sizes[8.0].first)
     result = f"{count} mode{'s' if count != 1 else ''}"
     yield Finding("Distribution of ΔE (8 µm)", "compact, unimodal", result, count == 1)
     places, contrast, table = frequency_contrast_table(evidence.maps[8.0], evidence.border(8.0))

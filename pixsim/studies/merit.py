@@ -168,10 +168,13 @@ def mtf50_cy_per_mm(
     if physics.stack is not None:
         light = illumination_of(result.irradiance, result.camera, physics)
         side_um = float(aperture_side_um(physics.stack, light.pupil.at(0.0, 0.0))[0])
-    frequency = np.linspace(0.0, 1e3 / max(side_um, path_um), 20001)  # up to the first zero of the aperture, or of the path
-    values = mtf(result, physics, frequency, path_um)
-    below = int(np.argmax(values < 0.5))
-    return float(np.interp(-0.5, -values[below - 1 : below + 1], frequency[below - 1 : below + 1]))
+    low, high = 0.0, 1e3 / max(side_um, path_um)  # the first zero of the aperture, or of the path
+    for _ in range(2):  # within a step of the first 300, one of 300 again
+        frequency = np.linspace(low, high, 301)
+        values = mtf(result, physics, frequency, path_um)
+        below = int(np.argmax(values < 0.5))
+        low, high = frequency[below - 1], frequency[below]
+    return float(np.interp(-0.5, -values[below - 1 : below + 1], [low, high]))
 
 
 def detail_frequency_lp_per_mm(irradiance: SpectralImage, pitch_um: float) -> tuple[float, str]:

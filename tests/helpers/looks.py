@@ -55,7 +55,8 @@ def text_of(folder: Path) -> str:
 def lines_without_rows(plate: Plate) -> list[str]:
     """Names of a figure's lines that are not in its table: no two columns have the x and y of all their points.
 
-    A line of two points is a mark, such as the Nyquist frequency, and not data.
+    A line of two points is a mark, such as the Nyquist frequency, and not data. A line with more points than the table has rows is
+    a curve: at each x of two columns, one of the y lies on it.
     """
     numeric = (column for column in plate.table.values() if all(isinstance(value, int | float) for value in column))
     columns = [np.array(column, float) for column in numeric]
@@ -70,5 +71,9 @@ def lines_without_rows(plate: Plate) -> list[str]:
 
 
 def _has_rows(points: np.ndarray, x: np.ndarray, y: np.ndarray) -> bool:
+    if len(points) > len(x):
+        known = np.isfinite(x) & np.isfinite(y)
+        is_on = np.isclose(np.interp(x[known], *points.T), y[known], rtol=1e-3)  # straight between points, and bent between rows
+        return set(x[known][is_on]) == set(x[known]) and bool(known.any())
     near = np.isclose(points[:, :1], x, rtol=1e-9, atol=0) & np.isclose(points[:, 1:], y, rtol=1e-9, atol=0, equal_nan=True)
     return bool(near.any(axis=1).all())
