@@ -366,8 +366,16 @@ def study(
         check_replaceable(folder, names)
         with stages(seconds) as stage:
             with said_what_is_kept(folder):
-                how = {"jobs": jobs, "scheduler": scheduler, "progress": ready_to_draw(stage), "agreed": options.yes}
-                result = run_prepared(job, folder, **how, spreads=spreads, asked=asked)
+                result = run_prepared(
+                    job,
+                    folder,
+                    jobs=jobs,
+                    scheduler=scheduler,
+                    progress=ready_to_draw(stage),
+                    agreed=options.yes,
+                    spreads=spreads,
+                    asked=asked,
+                )
                 stage("report")
                 first = result.cases[0]
                 drawing = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()

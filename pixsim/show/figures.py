@@ -135,7 +135,7 @@ def import_matplotlib() -> None:
 
 def ready_to_draw(stage: Stage) -> Stage:
     """Return a `Stage` that starts to import Matplotlib, in a thread, as soon as workers have made the first evaluations."""
-    started = []
+    started: list[Thread] = []
 
     def begin(name: str) -> Progress:
         report = stage(name)
@@ -186,7 +186,8 @@ def fix_margins(
     """
     width_in, height_in = figure.get_size_inches()
     figure.set_layout_engine(None)
-    rows, columns = figure.axes[0].get_subplotspec().get_gridspec().get_geometry()
+    place = figure.axes[0].get_subplotspec()
+    rows, columns = place.get_gridspec().get_geometry() if place else (1, 1)
     panel_in = (width_in - left_in - right_in + between_in) / columns, (height_in - bottom_in - top_in + between_in) / rows
     figure.subplots_adjust(
         left=left_in / width_in,

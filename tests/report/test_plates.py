@@ -8,11 +8,15 @@ import html
 import io
 import math
 import re
+import subprocess
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from urllib.parse import unquote
 from xml.etree import ElementTree
 
+import joblib
 import numpy as np
 import pytest
 from helpers.chains import imaging
@@ -428,6 +432,25 @@ def test_picture_axes_ticks_are_round(die_mm, texts):
     assert all(at == pytest.approx(float(text)) for at, text in ticks)
     assert 3 <= len(ticks) <= MAX_TICKS
     assert max(ticks[-1][0], 2 * axes.down.ticks[-1][0]) <= die_mm * (1 + 1e-6)
+
+
+# --- workers ----------------------------------------------------------------------------------------------------------
+
+WORKER = """
+import sys
+import joblib
+from pixsim.report.study import PictureTask, make_pictures
+result = joblib.load(sys.argv[1])
+for task in (PictureTask(0, "0.35um"), PictureTask(1, "0.35um", 8.0)):
+    make_pictures(task, result)
+print(*sorted({"matplotlib", "pandas", "mitsuba"} & set(sys.modules)))
+"""
+
+
+def test_workers_that_make_pictures_import_no_matplotlib(tiny_result: StudyResult, tmp_path: Path) -> None:
+    joblib.dump(tiny_result, tmp_path / "result")
+    command = [sys.executable, "-c", WORKER, str(tmp_path / "result")]
+    assert subprocess.run(command, capture_output=True, text=True, check=True, timeout=300).stdout.split() == []
 
 
 # --- files ------------------------------------------------------------------------------------------------------------
