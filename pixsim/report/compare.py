@@ -84,7 +84,6 @@ from pixsim.studies.comparison import ComparedSensor, Comparison, DisplayDiffere
 from pixsim.studies.design import BASE, frame_cost
 from pixsim.studies.dry_run import PAGE_S, START_S, Cost, render_bytes, render_seconds
 from pixsim.studies.files import scene_table, settings_text, without_files_of_axis
-from pixsim.studies.merit import LightLevel
 from pixsim.studies.paired import Pairs, mean_interval
 from pixsim.studies.sensors import OF_A_SENSOR, SHARED, ComparisonJob, SensorGroup, pixels_of
 from pixsim.studies.settings import Condition, Study, paths_of
@@ -93,6 +92,7 @@ from pixsim.studies.uncertainty import FEW_SENSORS, TYPES_FILE, PairUncertainty
 from pixsim.viewer.develop_options import TONE_CURVES, developed_words
 from pixsim.viewer.display import white_light
 from pixsim.viewer.metrics import Metric
+from pixsim.viewer.screen import LightLevel
 from pixsim.viewer.setting import Run
 
 JSON_FILE = "compare.json"

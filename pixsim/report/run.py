@@ -70,7 +70,7 @@ from pixsim.show.pictures import Picture, delta_e_png, display_codes, factor_for
 from pixsim.show.presenter import PageOptions, Presenter
 from pixsim.show.render import PAGE
 from pixsim.studies.files import scene_table, settings_text
-from pixsim.studies.merit import LightLevel, detail_terms, extent, quanta_of_run
+from pixsim.studies.merit import detail_terms, extent, quanta_of_run
 from pixsim.studies.run import LitRun, RunResult, Threshold
 from pixsim.studies.table import ROWS_FILE, Store
 from pixsim.viewer.causes import SATURATED_SHOWN
@@ -81,6 +81,7 @@ from pixsim.viewer.metric_registry import metrics_named
 from pixsim.viewer.metrics import DELTA_E, Metric
 from pixsim.viewer.raw_metrics import DETECTABILITY, contrast_factor
 from pixsim.viewer.score import shown_mean, unmet
+from pixsim.viewer.screen import LightLevel
 
 if TYPE_CHECKING:
     from pixsim.light.spectral import SpectralImage

@@ -18,7 +18,7 @@ from pixsim.viewer.setting import Setting
 
 if TYPE_CHECKING:
     from pixsim.light.spectral import SpectralImage
-    from pixsim.studies.merit import LightLevel
+    from pixsim.viewer.screen import LightLevel
 
 # Pixel options that select models of a process; a sensor given by its data sheet uses none of them.
 OF_A_PROCESS = frozenset({"capacitance", "well_limit", "conversion", "response", "fill_factor_law"})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, astuple, dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,7 +57,7 @@ from pixsim.scene.real_lens import decide_defocus, decide_real_lens, real_lens_w
 from pixsim.scene.rules import TOLERANCE_E, Chart, Decision
 from pixsim.scene.scene import Scene, film_size, sample_count, sensor_node
 from pixsim.scene.tree import Node, Tree, nodes_of
-from pixsim.scene.white_plate import WhitePlate, distance_of_plate_m, place_of_plate
+from pixsim.scene.white_plate import distance_of_plate_m, place_of_plate
 from pixsim.sensor.collection import check_efficiency, half_sizes_um, scale_error, stack_shares
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import pixels_on
@@ -96,6 +96,27 @@ class FittedLamp:
 
     lamp: Lamp
     fit: Fit
+
+
+class WhitePlate(NamedTuple):
+    """How a white plate is rendered.
+
+    scene : with the plate
+    plan : of the render
+    camera : that sees the scene
+    distance_m : from the lens to the plate
+    """
+
+    scene: Scene
+    plan: Plan
+    camera: Camera
+    distance_m: float
+
+    @property
+    def lens(self) -> dict[str, object]:
+        """The sensor in Mitsuba that sees nothing but the plate."""
+        fov_deg = math.degrees(2 * math.atan(white_plate.HALF_VIEW / (1 - white_plate.BEFORE)))
+        return {"type": "perspective", "fov": fov_deg, "near_clip": white_plate.NEAR_CLIP * self.distance_m}
 
 
 @checks_fields

@@ -34,11 +34,11 @@ from pixsim.scene.bands import Fit, Pulse
 from pixsim.scene.contents import named_files, warnings_of_skies
 from pixsim.scene.guard.tracer import Tracer, tracer_of
 from pixsim.scene.job import Lamps, Passes, TraceJob, irregular, regular
-from pixsim.scene.plan import Plan, make_render_plan
+from pixsim.scene.plan import Plan, WhitePlate, make_render_plan
 from pixsim.scene.rules import BACKGROUNDS, SAMPLE_COUNTS, cause_of_black, irregular_tables
 from pixsim.scene.scene import Scene, check_resolution, hash_of_tree, is_packaged, sensor_node
 from pixsim.scene.tree import Tree, nodes_of, parse_tree
-from pixsim.scene.white_plate import WhitePlate, dark_plate
+from pixsim.scene.white_plate import dark_plate
 
 
 def film(responses: list[dict[str, Any]], size: tuple[int, int], top: int, bottom: int) -> dict[str, Any]:

@@ -7,20 +7,18 @@ scene's lamps and by what its surfaces reflect. It is so small that the rest of 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.optics.camera import Camera
 from pixsim.scene.contents import FLAT, matrix_of
 from pixsim.scene.tree import Node, Tree, nodes_of
 
 if TYPE_CHECKING:
-    from pixsim.scene.plan import Plan
-    from pixsim.scene.scene import Scene
+    pass
 
 # Of the object's distance: how far before the plane in focus it stands, so that a chart in that plane does not cover it; half of
 # its side, so that surfaces at up to 60° behind it do not cut it; and half of what is seen of it.
@@ -31,27 +29,6 @@ NEAR_CLIP = 0.99  # of its distance: what stands before it does not hide it
 RESOLUTION, FIRST_SPP = 16, 64  # of its picture
 LEVELS, NOISE = 6, 1e-3  # of renders, each with four times the samples of the one before; of its radiance, where none follows
 SEED = 0
-
-
-class WhitePlate(NamedTuple):
-    """How a white plate is rendered.
-
-    scene : with the plate
-    plan : of the render
-    camera : that sees the scene
-    distance_m : from the lens to the plate
-    """
-
-    scene: Scene
-    plan: Plan
-    camera: Camera
-    distance_m: float
-
-    @property
-    def lens(self) -> dict[str, object]:
-        """The sensor in Mitsuba that sees nothing but the plate."""
-        fov_deg = math.degrees(2 * math.atan(HALF_VIEW / (1 - BEFORE)))
-        return {"type": "perspective", "fov": fov_deg, "near_clip": NEAR_CLIP * self.distance_m}
 
 
 def distance_of_plate_m(state: Tree, sensor: Node, focus_m: float) -> float:

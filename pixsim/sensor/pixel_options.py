@@ -307,6 +307,15 @@ class PixelOptions(Record):
         """The codes above the black level."""
         return 2**self.bits - 1 - self.black_level_dn
 
+    @property
+    def adc_range_per_well(self) -> float | None:
+        """Range of the ADC over the full well of a data sheet; None if it does not state both."""
+        full_well_e = self.saturation_capacity_e if self.full_well_e is None else self.full_well_e
+        gain_e_per_dn = self.stated_gain_e_per_dn
+        if full_well_e is None or gain_e_per_dn is None:
+            return None
+        return self.codes_dn * gain_e_per_dn / full_well_e
+
 
 NUMBERS = numbers_of(PixelOptions)
 # Words of data sheets or of the layout, and the fields that each of them stands for.

@@ -160,6 +160,10 @@ class Readout:
         """Return the same reading of a pixel with other numbers, fields of `PixelPhysics`; the ADC stays."""
         return replace(self, physics=replace(self.physics, **numbers))
 
+    def with_silent(self, names: tuple[str, ...]) -> Readout:
+        """Return the same reading of a pixel with these noise sources switched off, and no others."""
+        return replace(self, silent=names)
+
     @property
     def _pixels(self) -> int:
         """Number of pixels whose charge is read as one."""

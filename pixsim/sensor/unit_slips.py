@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
+
+from pydantic import BaseModel
 
 from pixsim.base.notes import Note
-
-if TYPE_CHECKING:
-    from pixsim.sensor.pixel_options import PixelOptions
 
 # The public names; everything else is internal.
 __all__ = ["SLIPS", "slip_hint", "unit_slips"]
@@ -21,23 +19,14 @@ class UnitSlip(NamedTuple):
     unit : the other unit, in words
     factor : what converts a number from the other unit
     meant : field that states the converted number; empty for the same field
-    value : what has to be usual of a pixel, where it is not the number itself; None: it is the number
+    property : of the pixel, which has to be usual in place of the number itself; empty where the number has to be
     """
 
     usual: tuple[float, float]
     unit: str
     factor: float
     meant: str = ""
-    value: Callable[[PixelOptions], float | None] | None = None
-
-
-def adc_range_per_well(pixel: PixelOptions) -> float | None:
-    """Return the range of the ADC over the full well of a data sheet; None if it does not state both."""
-    full_well_e = pixel.saturation_capacity_e if pixel.full_well_e is None else pixel.full_well_e
-    gain_e_per_dn = pixel.stated_gain_e_per_dn
-    if full_well_e is None or gain_e_per_dn is None:
-        return None
-    return pixel.codes_dn * gain_e_per_dn / full_well_e
+    property: str = ""
 
 
 # The published sheets of the tests have pitches of 11 µm at most, wells of 7500 to 91 000 e-, 1 % PRNU at most, and ADCs that end
@@ -53,8 +42,8 @@ SLIPS = {
     "adc_full_scale_e": UnitSlip(WELL_E, "thousands of electrons", 1e3),
     "prnu": UnitSlip((0.0, 0.05), "per cent", 0.01),
     "fill_factor": UnitSlip((0.0, 1.0), "per cent", 0.01),
-    "gain_e_per_dn": UnitSlip(ADC_RANGE_PER_WELL, "DN per electron", 1.0, "dn_per_e", adc_range_per_well),
-    "dn_per_e": UnitSlip(ADC_RANGE_PER_WELL, "electrons per DN", 1.0, "gain_e_per_dn", adc_range_per_well),
+    "gain_e_per_dn": UnitSlip(ADC_RANGE_PER_WELL, "DN per electron", 1.0, "dn_per_e", "adc_range_per_well"),
+    "dn_per_e": UnitSlip(ADC_RANGE_PER_WELL, "electrons per DN", 1.0, "gain_e_per_dn", "adc_range_per_well"),
 }
 
 
@@ -73,8 +62,10 @@ def slip_hint(name: str, value: object) -> str:
     return _hint(name, number) if _is_slip(slip, number, number * slip.factor) else ""
 
 
-def unit_slips(pixel: PixelOptions) -> list[Note]:
+def unit_slips(pixel: BaseModel) -> list[Note]:
     """Return a note for each number of a pixel that is unusual in its field's unit, and usual in the other one of `SLIPS`.
+
+    pixel : a `PixelOptions`
 
     A gain is judged by the range of the ADC over the full well, where both are stated.
 
@@ -88,11 +79,10 @@ def unit_slips(pixel: PixelOptions) -> list[Note]:
         if number is None:
             continue
 
-        if slip.value is None:
-            value, converted = number, number * slip.factor
-        else:
-            value = slip.value(pixel)
-            converted = slip.value(pixel.model_copy(update={name: None, slip.meant: number * slip.factor}))
+        value, converted = number, number * slip.factor
+        if slip.property:
+            other = pixel.model_copy(update={name: None, slip.meant: converted})
+            value, converted = getattr(pixel, slip.property), getattr(other, slip.property)
         if value is not None and converted is not None and _is_slip(slip, value, converted):
             notes.append(Note("unit_slip", name=name, number=number, hint=_hint(name, number)))
     return notes

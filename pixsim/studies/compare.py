@@ -555,7 +555,17 @@ def differences_of_types(
         differences = result.pairs(other, metric).differences
         as_is = float(differences[:FEW_SENSORS].mean())
         drawn_differences = float(differences.mean()) + (change - as_is)
-        uncertainties.append(PairUncertainty((first, other), types, drawn_differences, scatter_variances(scatter), metric))
+        uncertainties.append(
+            PairUncertainty(
+                names=(first, other),
+                drawn=types.sample,
+                asked=types.asked,
+                total=types.total,
+                differences=drawn_differences,
+                scatter_variances=scatter_variances(scatter),
+                metric=metric,
+            )
+        )
     return uncertainties
 
 

@@ -8,8 +8,8 @@ that interrupted work keeps them.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache as cache_once, cached_property, partial
 from hashlib import blake2b
 from pathlib import Path
@@ -23,12 +23,15 @@ from pixsim.base.records import content_hash
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.integration import electrons_per_joule, pixels_on
 from pixsim.sensor.labels import label_in
+from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import Frame, Sensor, lasting, make_frame
 from pixsim.studies.design import (
     CHECKED_REPEATS,
+    COMPUTED_BY,
+    MOST_REPEATS,
+    OF_FRAME,
     REPEATS_PER_TASK,
     Case,
-    Fingerprints,
     Sizes,
     block_key,
     frame_cost,
@@ -113,6 +116,75 @@ class LitCase:
     def fingerprints(self) -> Fingerprints:
         """Keys of its frames and rows."""
         return Fingerprints(self)
+
+
+@dataclass(frozen=True)
+class Fingerprints:
+    """Hashes of everything that the evaluations of a case depend on."""
+
+    lit: LitCase
+    _pixels: dict[float, str] = field(default_factory=dict, init=False, repr=False)
+    _keys: dict[float, list[str]] = field(default_factory=dict, init=False, repr=False)
+
+    @cached_property
+    def imaging(self) -> str:
+        """Hash of the light, camera, exposure, correction and random streams, without pixel and display."""
+        settings = [getattr(self.lit.imaging, name).model_dump() for name in OF_FRAME]
+        # With pixsim's sources and the versions of the packages that compute, so that no row of another formula is reused.
+        return content_hash([self.lit.scenes.content, settings, *self.lit.case.stream, cache.version_fingerprint(*COMPUTED_BY)])
+
+    @cached_property
+    def shown(self) -> list[str]:
+        """Hash of each display, of the part of the die that is scored on it, of the development, and of the precision."""
+        imaging = self.lit.imaging
+        border_um = imaging.border_um if imaging.display.raster == "fixed_size" else 0.0
+        own = imaging.develop.content_hash, border_um, imaging.single, imaging.metrics.content
+        return [content_hash([display.content_hash, *own]) for display in self.lit.displays]
+
+    @cached_property
+    def light(self) -> str:
+        """Hash of the light behind the lens, and of the pixel but its size."""
+        return content_hash([self.imaging, self.shown, *self._of_pixel(self.lit.imaging.pixel, "pitch_um")])
+
+    def _of_pixel(self, pixel: Pixel, *but: str) -> tuple[object, ...]:
+        return self.lit.imaging.physics.technology.content, pixel.model_dump(exclude={"technology", *but})  # a path is no content
+
+    def pixel(self, pitch_um: float) -> str:
+        """Return the hash of everything that the frames of a pitch depend on."""
+        if pitch_um not in self._pixels:
+            at_pitch = self.lit.imaging.at(pitch_um)
+            # The raster decides on registrations.
+            self._pixels[pitch_um] = content_hash([self.imaging, *self._of_pixel(at_pitch.pixel), at_pitch.display.raster])
+        return self._pixels[pitch_um]
+
+    def keys(self, pitch_um: float, count: int) -> Sequence[str]:
+        """Return the key of each evaluation of a pitch: of `count` repeats, of the first ones on each display."""
+        return self._known(pitch_um, count)[: point_count(count, len(self.shown))]
+
+    def _known(self, pitch_um: float, count: int) -> list[str]:
+        """Return the keys of a pitch of `count` repeats or more, not to be written to."""
+        known, displays = self._keys.setdefault(pitch_um, []), len(self.shown)
+        for number in range(len(known), point_count(count, displays)):
+            repeat, display = point_at(number, displays)
+            known.append(content_hash([self.pixel(pitch_um), self.shown[display], repeat]))
+        return known
+
+    def is_expected_row(self, row: Row, pitches_um: Collection[float]) -> bool:
+        """Return whether a row of results.csv may belong to the case and has the key of its pitch and repeat.
+
+        pitches_um : with which the case starts
+        """
+        pitch_um, repeat = float(row["pitch_um"]), float(row["repeat"])
+        if row["technology"] != self.lit.case.sensor or not (0 <= repeat < MOST_REPEATS and repeat.is_integer()):
+            return False
+        if not min(pitches_um) <= pitch_um <= max(pitches_um):
+            return False
+        first, end = (point_count(count, len(self.shown)) for count in (int(repeat), int(repeat) + 1))
+        return row["key"] in self._known(pitch_um, int(repeat) + 1)[first:end]
+
+    def frames_of_pitch(self, pitch_um: float) -> str:
+        """Return the cache key of the frames of a pitch; empty if the frames of the case are not cached."""
+        return self.pixel(pitch_um) if self.lit.case.caches_frames else ""
 
 
 def lit_cases(cases: Sequence[Case[Any]], lights: Sequence[Light]) -> list[LitCase]:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.digits import span
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.optics.stack import aperture_side_um
@@ -22,13 +21,11 @@ from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.reading import Readout
 from pixsim.studies.settings import Study, paths_of
 from pixsim.viewer.chain import ExpectedFrame, make_chain
-from pixsim.viewer.display import picture_size_um, white_light
-from pixsim.viewer.display_options import Display
+from pixsim.viewer.display import picture_size_um
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.mtf import mtf_terms, of_sensor
 from pixsim.viewer.noise_budget import NoiseBudget, noise_budget
 from pixsim.viewer.raw_metrics import INFORMATION, neq_along
-from pixsim.viewer.screen import HEADER_OF_WHITE, UNITS_OF_WHITE, WHITE_FROM
 
 if TYPE_CHECKING:
     from pixsim.studies.curve import Curve
@@ -79,44 +76,6 @@ def moved_view(study: Study) -> list[str]:
 def columns_on(camera: Camera, pitch_um: float) -> int:
     """Return the columns of pixels on the die. Raises PixsimError if not one pixel fits."""
     return pixels_along(camera.die_um[1], pitch_um)
-
-
-class LightLevel(NamedTuple):
-    """What is shown as display white, its unit, source and spectrum, and the shortest and longest exposure time.
-
-    It is a luminance, or the radiance of light without one.
-    """
-
-    white: float
-    unit: str
-    white_from: str
-    white_spectrum: str
-    shortest_s: float
-    longest_s: float
-
-    @classmethod
-    def of(cls, irradiance: SpectralImage, display: Display, integration_s: Iterable[float]) -> LightLevel:
-        """Return the light level of a scored picture; the display's white takes precedence over the scene's."""
-        header, times_s = irradiance.header, np.array(list(integration_s), float)
-        stated = [name for name in UNITS_OF_WHITE if getattr(display, name)]
-        name = stated[0] if stated else next(each for each, entry in HEADER_OF_WHITE.items() if entry in header)
-        if stated:
-            white, source = getattr(display, name), f"display.{name}"
-        else:
-            white = header[HEADER_OF_WHITE[name]]
-            source = header.get("white_from", "the scene")
-            source += ", in the sensor's response" if source == WHITE_FROM else ""
-        return cls(
-            float(white), UNITS_OF_WHITE[name], source, white_light(irradiance)[1], float(times_s.min()), float(times_s.max())
-        )
-
-    @property
-    def exposure(self) -> str:
-        """Exposure time in ms, or its range."""
-        return span(1e3 * self.shortest_s, 1e3 * self.longest_s, ".3g", " ms")
-
-    def __str__(self) -> str:
-        return f"display white is {self.white:.4g} {self.unit} in the scene; exposed for {self.exposure}"
 
 
 MPE30_INTEGRATION_S = 0.030  # that of Figure 2 of Chen, Catrysse, El Gamal and Wandell (2000)

@@ -28,7 +28,6 @@ from pixsim.studies.design import BASE, REPEATS_PER_TASK, Case, imaging_of, phys
 from pixsim.studies.evaluate import Counts, LitCase, frames_of, lit_cases, task_of
 from pixsim.studies.film_error import FilmError, light_error_and_limit
 from pixsim.studies.lights import Light
-from pixsim.studies.merit import LightLevel
 from pixsim.studies.prepare import cases_of_sensors
 from pixsim.studies.settings import Study
 from pixsim.studies.table import Table
@@ -38,7 +37,7 @@ from pixsim.viewer.display import white_rate
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.scene_light import SceneCache
 from pixsim.viewer.score import Cause, FrameScore
-from pixsim.viewer.screen import display_image
+from pixsim.viewer.screen import LightLevel, display_image
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -16,7 +16,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.special import betaincinv, ndtri
@@ -35,9 +35,6 @@ from pixsim.sensor.technology import Junction, Technology
 from pixsim.studies.settings import Study
 from pixsim.viewer.metric_registry import metrics_named
 from pixsim.viewer.metrics import DELTA_E, Metric
-
-if TYPE_CHECKING:
-    from pixsim.studies.prepare import Types
 
 DEGREE = 3  # of the regression on one input
 NEGLIGIBLE = 1e-9  # relative range of a result below which it differs by rounding
@@ -714,14 +711,18 @@ class PairUncertainty:
     """The difference of two sensors by a metric over sensor types.
 
     names : of the two sensors, a and b
-    types : the sensor types
+    drawn : the sensor types of all sensors
+    asked : number of types that was asked for; the sample has a power of two of them
+    total : whether they are the points of total indices
     differences : ΔE(b) - ΔE(a) of each, (n,), or those of another metric in its unit
     scatter_variances : of each difference by the noise of its frames, (n,)
     metric : that judges
     """
 
     names: tuple[str, str]
-    types: Types
+    drawn: Sample
+    asked: int
+    total: bool
     differences: Array = field(repr=False)
     scatter_variances: Array = field(repr=False)
     metric: Metric = field(default=DELTA_E, repr=False)
@@ -729,7 +730,7 @@ class PairUncertainty:
     @cached_property
     def sample(self) -> Sample:
         """The sensor types with the inputs of these two sensors only; of total indices with all."""
-        return self.types.sample if self.types.total else sample_of(self.types.sample, *self.names)
+        return self.drawn if self.total else sample_of(self.drawn, *self.names)
 
     @cached_property
     def probability_a_better(self) -> Probability:
@@ -744,7 +745,7 @@ class PairUncertainty:
     @cached_property
     def shares(self) -> dict[str, dict[str, Share]]:
         """Shares of the variance of the difference: input -> `first` -> share, and `total` of points of total indices."""
-        return self.sample.shares(self.differences, self.scatter_variances, total=self.types.total)
+        return self.sample.shares(self.differences, self.scatter_variances, total=self.total)
 
     @property
     def matters(self) -> str:
@@ -774,7 +775,7 @@ class PairUncertainty:
         """Return the result as in compare.json."""
         return {
             "draws": len(self.differences),
-            "asked": self.types.asked,
+            "asked": self.asked,
             "probability_a_better": asdict(self.probability_a_better),
             "difference": {"quantiles": self.difference.quantiles},
             "inputs": self.sample.stated,

@@ -28,8 +28,9 @@ from pixsim.show import render
 from pixsim.show.figures import svg_text
 from pixsim.show.sentences import capital
 from pixsim.studies.design import imaging_of
-from pixsim.studies.merit import LightLevel, detail_terms
+from pixsim.studies.merit import detail_terms
 from pixsim.studies.result import StudyResult
+from pixsim.viewer.screen import LightLevel
 
 RUN = "run csf --variant scalar_spectral --resolution 128 --display.dots 200 --pixel.pitch-um 10.6 --raw png --out"
 TITLE = "<script>alert(1)</script> \"quoted\" & 'Ångström' µm"

@@ -18,11 +18,10 @@ from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import render
 from pixsim.scene.scene import load_scene, sensor_node
 from pixsim.scene.white_plate import distance_of_plate_m, place_of_plate
-from pixsim.studies.merit import LightLevel
 from pixsim.viewer.display import white_light
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.merging import merge
-from pixsim.viewer.screen import white_header
+from pixsim.viewer.screen import LightLevel, white_header
 
 BAND_NM = "839:0, 840:0.5, 860:0.5, 861:0"  # W m⁻² nm⁻¹: 10.5 W/m²
 IRRADIANCE = 10.5

@@ -24,10 +24,9 @@ from pixsim.optics.exchange import write_npz
 from pixsim.scene.packaged import packaged_scenes
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.studies.comparison import Comparison
-from pixsim.studies.merit import LightLevel
 from pixsim.viewer.display import XYZ_FROM_RGB
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.screen import amount_of_white, fraction_beyond_white, ideal_on_dots, screen_rendition, white_header
+from pixsim.viewer.screen import LightLevel, amount_of_white, fraction_beyond_white, ideal_on_dots, screen_rendition, white_header
 
 NM = np.arange(405.0, 900.0, 10.0)
 CAMERA, DISPLAY = Camera(focal_length_mm=4.0, die_mm=0.32), Display(dots=64)
