@@ -600,7 +600,7 @@ def _slider(result: Comparison) -> Slider:
     ideal = _picture(first.score.ideal, "ideal image")
     return Slider(
         id="slider",
-        heading=result.shown.words,
+        heading=f"Pictures in {result.shown.words}" if result.shown.words else "",
         left=_picture(first.score.image, first.name),
         others=(*(_picture(sensor.score.image, sensor.name) for sensor in others), ideal),
         left_words=f"the picture of {first.name}",

@@ -19,7 +19,8 @@ COMMANDS = {
     "run of a picture": "run out/irradiance.exr --display.dots 32 --pixel.pitch-um 84.8 --metric information --out picture",
     "study": f"study pixel-size {SMALL} --pitch.min-um 30 --pitch.max-um 90 --pitch.count 5 --quick --jobs 1 --out study",
     "study of cases": (
-        f"study pixel-size {SMALL} --pitch.min-um 30 --pitch.max-um 90 --pitch.count 5 --quick --jobs 1 --axis camera.f_number=2.8,4 --out cases"
+        f"study pixel-size {SMALL} --pitch.min-um 30 --pitch.max-um 90 --pitch.count 5 --quick --jobs 1 --out cases "
+        "--axis camera.f_number=2.8,4"
     ),
     "compare": "compare a.toml b.toml --display.dots 32 --resolution 48 --repeats 2 --jobs 1 --match view --out compared",
     "compare folders": "compare out out",
