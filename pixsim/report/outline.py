@@ -12,6 +12,7 @@ from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.report.wording import lens_words, view_words
 from pixsim.sensor.labels import label_of
 from pixsim.show.document import Block, Document, DocumentTable
+from pixsim.show.sentences import settings_line
 from pixsim.studies.dry_run import Cost, planned_run, planned_study
 from pixsim.studies.film_error import TOLERATED_SHARE
 from pixsim.studies.merit import columns_on
@@ -80,7 +81,7 @@ def outline_document(command: str, outline: dict[str, Any], out: Path) -> Docume
     seen, display = Camera.model_validate(camera), Display.model_validate(outline["display"])
     height_um, width_um = seen.die_um
     assumed = "".join(f"; {words}" for words in (lens_words(seen), outline["assumption"].partition(":")[0]) if words)
-    parameters = ", ".join(f"{name} = {value}" for name, value in outline["irradiance"].get("parameters", {}).items())
+    parameters = settings_line(outline["irradiance"].get("parameters", {}))
     rays = ""
     if spp := film.get("spp"):
         rays = f", {spp} rays each, {film['passes']} pass{'es' * (film['passes'] > 1)}, at least twice"

@@ -41,8 +41,8 @@ def scene_rows(
     file = header.get("scene", header.get("source"))
     rows = [("file", file, "scene or picture", sources.get("scene.file", ""))] if file else []
     for name, value in parameters.items():
-        shown = Path(value).name if isinstance(value, str) else value
-        rows.append((name, shown, "parameter of the scene", sources.get(f"scene.parameters.{name}", default)))
+        text = Path(value).name if isinstance(value, str) else setting_value(value, name)
+        rows.append((name, text, "parameter of the scene", sources.get(f"scene.parameters.{name}", default)))
     if "film" in header:
         rows.append(("film", " × ".join(str(side) for side in reversed(header["film"])), "samples of the rendered film", ""))
     scene_white = header.get("luminance_cd_per_m2")

@@ -19,6 +19,7 @@ from helpers.sheets import two_sheets
 from helpers.tiny import FINE, tiny
 
 import pixsim
+from pixsim.base.digits import within_error
 from pixsim.report.curve import optimum_line
 from pixsim.report.lens import FIGURES
 from pixsim.report.run import FILES
@@ -263,7 +264,9 @@ def test_study_page_matches_summary(studied: tuple[StudyResult, Path]) -> None:
         assert all(f"{mtf:.3f}" in words for mtf in sensor_terms.values())
         (low, high), (from_um, to_um) = best["interval_um"], best["within_1_percent_um"]
         head = f"{label}: optimal pixel size {best['pitch_um']:.2f} µm (95 %: {low:.2f} to {high:.2f} µm)"
-        assert f"{head}, mean ΔE {best['mean_delta_e']:.3f} Within 1 % of it: {from_um:.2f} to {to_um:.2f} µm" in words
+        least, most = best["value_interval"]
+        mean = within_error(best["mean_delta_e"], (most - least) / 2)
+        assert f"{head}, mean ΔE {mean} Within 1 % of it: {from_um:.2f} to {to_um:.2f} µm" in words
         for pitch_um, delta_e in zip(curve["pitch_um"], curve["mean_delta_e"], strict=True):
             assert f"{pitch_um:.3f}" in words
             assert f"{delta_e:.4f}" in words
@@ -504,3 +507,14 @@ def test_lens_command_writes_page_figures_and_tables(measured: tuple[Path, str])
     text = text_of(folder)
     assert text.count("<img ") == text.count("alt=") == len(FIGURES)
     assert not [glass.name for glass in pixsim.load_lens("double_gauss").prescription.glasses if glass.name not in text]
+
+
+@pytest.mark.parametrize("name", ["compare", "compare --study"])
+def test_numbers_with_errors_end_at_the_decimal_of_their_error(name: str, folders: dict[str, Path]) -> None:
+    """Four digits at most."""
+    words = re.sub(r"<[^>]*>", "", html.unescape(text_of(folders[name])))
+    stated = re.findall(r"(\d+(?:\.\d+)?) ± (\d+(?:\.\d+)?)", words)
+    assert len(stated) > 1
+    for value, error in stated:
+        assert len(value.partition(".")[2]) == len(error.partition(".")[2]), (value, error)
+        assert len(value.lstrip("0.").replace(".", "")) <= 4, value
