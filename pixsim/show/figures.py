@@ -125,16 +125,16 @@ def own_style() -> Iterator[None]:
         yield
 
 
-def import_matplotlib() -> None:
-    """Import what a figure and its SVG need, which takes longer than to draw one: in a thread, while workers evaluate."""
-    with own_style():
-        import matplotlib.backends.backend_agg
-        import matplotlib.backends.backend_svg
-        import matplotlib.figure  # noqa: F401
+@own_style()
+def prepare_to_draw() -> None:
+    """Import Matplotlib, and draw an empty figure: that takes longer than those that follow."""
+    figure = new_figure(1.0, 1.0)
+    figure.subplots().set(xlabel="x", ylabel="y", title="title")
+    svg_text(figure)
 
 
 def ready_to_draw(stage: Stage) -> Stage:
-    """Return a `Stage` that starts to import Matplotlib, in a thread, as soon as workers have made the first evaluations."""
+    """Return a `Stage` that starts `prepare_to_draw`, in a thread, as soon as workers have made the first evaluations."""
     started: list[Thread] = []
 
     def begin(name: str) -> Progress:
@@ -142,7 +142,7 @@ def ready_to_draw(stage: Stage) -> Stage:
 
         def progress(*done: Any) -> None:
             if not started:
-                started.append(Thread(target=import_matplotlib, name="pixsim figures"))
+                started.append(Thread(target=prepare_to_draw, name="pixsim figures"))
                 started[0].start()
             report(*done)
 
