@@ -4,14 +4,17 @@ import ast
 import re
 import tomllib
 from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 from helpers.measure import PACKAGE, arrows_of, files_of, floors, imports as imports_of, is_type_checking, tree as tree_of
 
 import pixsim
+from pixsim.base.result import Result
 from pixsim.base.units import unit_of
 
 FILES = files_of()
@@ -89,6 +92,27 @@ def package_arrows(*, settings: bool) -> set[tuple[str, str]]:
     found = ((module, other) for module, others in arrows().items() for other in others if settings or other not in SETTINGS)
     pairs = {(module.partition(".")[0], other.partition(".")[0]) for module, other in found}
     return {(one, other) for one, other in pairs if one != other}
+
+
+def result_types() -> list[type[Result]]:
+    """Types of results, with those that extend them."""
+    for module in pixsim.PRESENTERS.values():
+        import_module(f"pixsim.{module}")
+    kinds, left = [], [Result]
+    while left:
+        left = [kind for parent in left for kind in parent.__subclasses__() if kind.__module__.startswith("pixsim.")]
+        kinds += left
+    return kinds
+
+
+def test_results_are_frozen_records_that_are_presented() -> None:
+    kinds = result_types()
+    assert set(pixsim.PRESENTERS) <= {kind.__name__ for kind in kinds}
+    for kind in kinds:
+        assert is_dataclass(kind), kind
+        assert kind.__dataclass_params__.frozen, kind
+        assert len(fields(kind)) <= 15, f"group related fields of {kind.__name__} in a record"
+        assert any(base.__name__ in pixsim.PRESENTERS for base in kind.__mro__), kind
 
 
 def test_technologies_are_loaded_before_pixels_are_derived() -> None:
