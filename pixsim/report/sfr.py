@@ -8,7 +8,7 @@ from typing import Any
 from pixsim.base.schema import result_data
 from pixsim.base.tables import Column, table_csv
 from pixsim.measure.sfr import COVERAGE, NYQUIST_CY_PER_PX, EdgeResponse
-from pixsim.show.document import Document, Plot, Section, headline
+from pixsim.show.document import Answer, Document, Plot, Section
 from pixsim.show.figures import COLOURS, new_figure
 from pixsim.show.pages import FIGURE_SUFFIXES, Drawing, figure
 from pixsim.show.presenter import Presenter
@@ -20,7 +20,8 @@ MAX_SFR_SHOWN = 3.0
 def sfr_document(edge: EdgeResponse) -> Document:
     """Return the page of a slanted edge: its MTF50 and its SFR, the notes, its edge spread."""
     data = sfr_data(edge)
-    answer = headline(sfr_parts(data))
+    response, *edge_and_interval = sfr_parts(data)
+    answer = Answer(response, ("; ".join(edge_and_interval),))
     return Document(
         command="sfr",
         kind="response to an edge",
@@ -67,7 +68,7 @@ def sfr_data(edge: EdgeResponse) -> dict[str, Any]:
 
 
 def sfr_parts(data: Mapping[str, Any]) -> list[str]:
-    """Return the results as parts of a `headline`.
+    """Return the response, the edge, and what the interval is of.
 
     data : of `sfr_data`
     """
