@@ -1,6 +1,7 @@
-"""Write the result of a run, a study or a comparison to a folder: JSON, CSV, figures and report.html.
+"""Plot results, write them to a folder and show them: JSON, CSV, figures and report.html.
 
-`run` writes the files and the page of a single picture, `study` the report of a study, `compare` that of a comparison. `views`
-holds a study's pictures, `paper` the figures of Chen et al. (2000), `wording` the results as sentences, `lens` the page of a lens.
-May import: base, show, studies, measure, and settings of other packages.
+A module for each type of result has its `PRESENTER`, which `pixsim.PRESENTERS` names: `run`, `axes` and `study`, `curve`, `compare`,
+`two_results`, `table`, `score`, `sfr`, `datasheet`, `lens`, `accuracy`. `write` writes the report of any of them. The others have
+figures, tables and sentences that several of these share.
+May import: base, light, optics, sensor, viewer, scene, studies, measure, verification, show.
 """

@@ -7,5 +7,5 @@ case. `uncertainty` draws all unknown numbers together, and `indices` says which
 are, in one field of view; `run` scores one picture of one sensor. What pages show beside the curves: `merit` (MTF of each
 blur term), `parts` (what errors of colour sensors are made of), `extent`, `light_level`, `unconverged`; `outline` is what a
 study would do.
-May import: base, light, optics, sensor, scene, show, viewer.
+May import: base, light, optics, sensor, scene, viewer.
 """

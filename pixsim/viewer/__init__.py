@@ -5,5 +5,5 @@ of `settings_file`; these do not import NumPy. `without_effect` says which of th
 `colour_matrix` and `develop` (frames with colour filters), `display` (electrons to light on the display's dots), `scielab`
 (S-CIELAB), `score` (all of it, from irradiance to mean ΔE), `parts` (what a mean ΔE is made of). `judges` are other measures of
 frames and pictures, and `denoising` has the filters of a raw frame.
-May import: base, light, optics, sensor, show.
+May import: base, light, optics, sensor.
 """
