@@ -264,7 +264,7 @@ def test_study_page_matches_summary(studied: tuple[StudyResult, Path]) -> None:
         assert all(f"{mtf:.3f}" in words for mtf in sensor_terms.values())
         (low, high), (from_um, to_um) = best["interval_um"], best["within_1_percent_um"]
         head = f"{label}: optimal pixel size {best['pitch_um']:.2f} µm (95 %: {low:.2f} to {high:.2f} µm)"
-        least, most = best["value_interval"]
+        least, most = best["mean_delta_e_interval"]
         mean = within_error(best["mean_delta_e"], (most - least) / 2)
         assert f"{head}, mean ΔE {mean} Within 1 % of it: {from_um:.2f} to {to_um:.2f} µm" in words
         for pitch_um, delta_e in zip(curve["pitch_um"], curve["mean_delta_e"], strict=True):
@@ -291,7 +291,7 @@ def test_study_minimum_at_end_is_not_best(studied: tuple[StudyResult, Path]) -> 
         assert f"{label}: {found}" in text
         assert "optimal pixel size" not in text
     names = [plate.name for plate in plates_of_curves(replace(studied[0], curves=(curve, sheet)), curve)]
-    assert names == ["delta_e_against_pitch_all", "delta_e_against_pitch"]
+    assert names == ["delta_e_against_pitch_all", "delta_e_against_pitch", "other_statistics"]
 
 
 def test_study_figures_are_reproducible_and_one_for_each_technology(studied: tuple[StudyResult, Path]) -> None:
@@ -328,7 +328,8 @@ def test_study_page_equal_file_names_are_numbered(tmp_path: Path) -> None:
 def test_figures_of_the_paper_have_its_numbers(studied: tuple[StudyResult, Path]) -> None:
     """In their names and captions, and among the files that a report may replace."""
     study, first = studied[0].study.model_copy(update={"paper": True}), studied[0].curves[0]
-    plates = plates_of_curves(replace(studied[0], study=study, curves=(first, replace(first, feature_size_um=0.25))), first)
+    both = replace(studied[0], study=study, curves=(first, replace(first, feature_size_um=0.25)))
+    plates = [plate for plate in plates_of_curves(both, first) if plate.name != "other_statistics"]
     of_paper = {"7": "delta_e_against_pitch", "8": "delta_e_against_pitch_all", "9": "optimum_against_technology"}
     assert {plate.name for plate in plates} == {f"figure_{number}_{name}" for number, name in of_paper.items()}
     assert [plate.caption.split(":")[0] for plate in plates] == ["Figure 8", "Figure 7", "Figure 9"], "all curves first"

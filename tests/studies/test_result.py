@@ -14,6 +14,7 @@ import pytest
 from helpers.looks import Elements
 
 import pixsim
+from pixsim.base.digits import number, with_ends
 from pixsim.light.spectral import d65
 from pixsim.scene.charts import csf_value
 from pixsim.show.pictures import scale_end
@@ -51,7 +52,7 @@ def test_score_repr_html_shows_statistics(score: Score) -> None:
     message = " ".join(words.words)
     assert f"mean ΔE {score.mean_delta_e:.3f}" in message
     for name, value in score.statistics().items():
-        assert f"{name} {value:.6g}" in message
+        assert f"{name} {number(value, 4)}" in message
     assert words.tags.count("tr") == len(score.statistics())
     assert "pitch_um = " in message
     assert len(cell) < 400_000, "a notebook keeps it"
@@ -74,7 +75,7 @@ def test_study_result_repr_html_escapes_markup(result: StudyResult) -> None:
     for curve in result.curves:
         best = curve.optimum
         assert curve.technology in message
-        assert f"{best.mean_delta_e:.3f} ({best.mean_delta_e_interval[0]:.3f} to " in message
+        assert with_ends(best.mean_delta_e, best.mean_delta_e_interval) in message
         assert (f"{best.pitch_um:.2f}" in message) if best.inside else (f"none; least at {best.pitch_um:.2f}" in message)
     assert image_of(cell).startswith("<?xml")
     axes = result.plot().axes[0]
