@@ -14,7 +14,7 @@ from pixsim.base.errors import invalid
 from pixsim.base.notes import Note
 
 SCHEMA = 2
-ROW_SCHEMAS = (1, 2)  # whose rows of results.csv are those of this one
+ROW_SCHEMAS = frozenset({"1", "2"})  # whose rows of results.csv are those of this one
 KEY = "schema"
 CHANGES = {
     1: "names of settings and of entries, technologies 4t-*, random streams of large frames, and one results.csv for all cases",

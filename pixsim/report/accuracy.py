@@ -12,13 +12,13 @@ from typing import Any
 from pixsim.base.digits import number
 from pixsim.base.schema import result_data
 from pixsim.base.tables import plain, rows_csv
+from pixsim.report.score import shown_mean
 from pixsim.show.document import Answer, Block, Document, DocumentTable, Fact, Plot, Section, Strong, Text, made_with
 from pixsim.show.figures import LOOKS, new_figure, plain_powers
 from pixsim.show.pages import Drawing, figure, figure_files
 from pixsim.show.presenter import Presenter
 from pixsim.verification.case import ExtremeCase
 from pixsim.verification.ladder import Accuracy
-from pixsim.viewer.score import shown_mean
 
 FIGURES = ("work_precision",)
 FILES = ("report.html", "summary.json", "ladder.csv", "stability.csv", *figure_files(FIGURES))

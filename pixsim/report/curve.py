@@ -14,6 +14,7 @@ from pixsim.base.digits import interval, with_ends, with_error
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.tables import Column, table_csv
 from pixsim.report.regret import regrets_data
+from pixsim.report.score import shown_mean
 from pixsim.report.wording import is_partly_filled
 from pixsim.show.document import (
     Answer,
@@ -35,7 +36,6 @@ from pixsim.studies.curve import Curve, shown_mean_and_ci95
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
 from pixsim.studies.regret import metric_regrets
 from pixsim.viewer.metrics import DELTA_E
-from pixsim.viewer.score import mean_words, shown_mean, unmet
 from pixsim.viewer.screen import rounded_up
 
 if TYPE_CHECKING:
@@ -131,10 +131,7 @@ def shown_mean_of(curve: Curve, mean_delta_e: float) -> str:
     errors = curve.errors
     low, high = curve.optimum.mean_delta_e_interval
     scatter_delta_e = (high - low) / 2
-    largest_error = max((delta_e for delta_e, _ in unmet(errors.light, errors.light_limit)), default=0.0)
-    if errors.causes and errors.causes[0].delta_e >= largest_error:
-        return mean_words(mean_delta_e, errors.light, errors.light_limit, errors.causes[:1], scatter_delta_e=scatter_delta_e)
-    return shown_mean(mean_delta_e, errors.light, errors.light_limit, scatter_delta_e=scatter_delta_e)
+    return shown_mean(mean_delta_e, errors.light, errors.light_limit, errors.causes, scatter_delta_e=scatter_delta_e)
 
 
 def no_difference_words(curve: Curve) -> str:

@@ -25,7 +25,7 @@ from pixsim.report.kept import digest_of_content
 from pixsim.report.neq import NEQ, neq_against_frequency
 from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.pictures import crops, picture_axes, size_words
-from pixsim.report.score import score_plate
+from pixsim.report.score import score_plate, shown_mean
 from pixsim.report.settings import scene_rows, settings_blocks, settings_tables
 from pixsim.report.wording import (
     DELTA_E as DELTA_E_WORDS,
@@ -80,7 +80,7 @@ from pixsim.viewer.display import white_light
 from pixsim.viewer.metric_registry import metrics_named
 from pixsim.viewer.metrics import DELTA_E, Metric
 from pixsim.viewer.raw_metrics import DETECTABILITY, contrast_factor
-from pixsim.viewer.score import shown_mean, unmet
+from pixsim.viewer.score import exceeded
 from pixsim.viewer.screen import LightLevel
 
 if TYPE_CHECKING:
@@ -449,7 +449,7 @@ def unsure_words(result: RunResult) -> list[str]:
     A black level that clips dark noise is among them where it makes more than another one.
     """
     lines = unconverged(result.irradiance.header, result.rendered.film if result.rendered else None)
-    sized = [(size, line) for (size, _), line in zip(unmet(result.light, result.light_limit), lines, strict=False)]
+    sized = list(zip(exceeded(result.light, result.light_limit).values(), lines, strict=False))
     sized += [(cause.delta_e, str(cause)) for cause in result.causes]
     least = min((size for size, _ in sized), default=math.inf)
     sized += [(size, note) for note in dark_notes(result) if (size := result.dark["lightness"]) > least]

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
+from pixsim.base.digits import told_apart, with_error, within_error
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.schema import result_data
 from pixsim.base.tables import rows_csv
@@ -14,8 +19,9 @@ from pixsim.show.pictures import VIEWING_GAMMA, light_png, scale_end
 from pixsim.show.presenter import Presenter
 from pixsim.show.sentences import sentence, settings_line
 from pixsim.viewer.delta_e_statistics import percentiles
-from pixsim.viewer.score import FrameScore, Score, shown_mean, unmet
+from pixsim.viewer.score import Cause, FrameScore, LightError, Score, converged, exceeded
 
+ERROR_WORDS = {"film_delta_e": "the film's error", "noise_delta_e": "the error by render noise"}
 PANEL_IN = 3.1  # width of each picture of the figure
 
 
@@ -77,9 +83,61 @@ def _sentences(score: Score) -> list[str]:
         "the errors of a scene's light, by its film and by render noise, are measured by pixsim.run and pixsim.study",
         f"pixel: {settings_line(settings)}; all else is the default",
         *map(str, score.causes),
-        *(f"{NOT_CONVERGED}: {words}" for _, words in unmet(score.light, score.light_limit)),
+        *(f"{NOT_CONVERGED}: {words}" for words in unmet(score.light, score.light_limit)),
     ]
     return [sentence(text) for text in texts]
+
+
+def unmet(error: LightError, limit: LightError) -> list[str]:
+    """Return the errors above their limits in words, the largest first."""
+    texts = []
+    for name in exceeded(error, limit):
+        size, most = told_apart(getattr(error, name), getattr(limit, name), 1)
+        size = "unknown" if math.isnan(getattr(error, name)) else f"up to {size} ΔE"
+        most = "its limit exceeded" if math.isnan(getattr(limit, name)) else f"{most} tolerated"
+        texts.append(f"{ERROR_WORDS[name]} is {size}, {most}")
+    return texts
+
+
+def shown_mean(
+    mean_delta_e: float,
+    error: LightError,
+    limit: LightError,
+    causes: Sequence[Cause] = (),
+    half_delta_e: float = 0.0,
+    scatter_delta_e: float = 0.0,
+) -> str:
+    """Return a mean ΔE as text, with the film's error if that is above its limit, and with one warning.
+
+    The warning is the largest cause; or that the light has not converged, where an error of it is known to be larger.
+
+    half_delta_e : half of its 95 % interval, of several sensors
+    scatter_delta_e : likewise, of an estimate whose interval is not stated: it has no more digits than that allows
+
+    >>> shown_mean(0.97312, LightError(), LightError(), half_delta_e=0.0021)
+    '0.9731 ± 0.0021 (95 %)'
+    >>> shown_mean(0.9731, LightError(0.6), LightError(0.02), half_delta_e=0.0021)
+    '1.0 ± 0.6 (95 % and film), not converged'
+    >>> few_codes = (Cause("all codes are equal", 100.0, "more bits"),)
+    >>> shown_mean(76.54, LightError(3.6), LightError(0.02), few_codes)
+    '76.5 (all codes are equal) ± 3.6 (film)'
+    """
+    is_film_met = converged(replace(error, noise_delta_e=None), limit)
+    film_delta_e = 0.0 if is_film_met or error.film_delta_e is None else error.film_delta_e
+
+    value, uncertainty = within_error(mean_delta_e, scatter_delta_e) if scatter_delta_e else f"{mean_delta_e:.3f}", ""
+    if math.isnan(film_delta_e):
+        uncertainty = " ± an unknown error (film)"
+    elif film_delta_e or half_delta_e:
+        value, _, uncertainty = with_error(mean_delta_e, half_delta_e + film_delta_e).partition(" ")
+        parts = ["95 %"] * (half_delta_e > 0) + ["film"] * (film_delta_e > 0)
+        uncertainty = f" {uncertainty} ({' and '.join(parts)})"
+
+    above = exceeded(error, limit)
+    largest_known_delta_e = max(filter(math.isfinite, above.values()), default=0.0)
+    if causes and causes[0].delta_e >= largest_known_delta_e:
+        return f"{value} ({causes[0].words}){uncertainty}"
+    return f"{value}{uncertainty}, {NOT_CONVERGED}" if above else f"{value}{uncertainty}"
 
 
 PRESENTER = Presenter(document=score_document, figure=score_plate, csv=score_csv)

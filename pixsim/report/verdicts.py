@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pixsim.base.digits import exposure_time, f_stop, probability, with_error
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.notes import Note
+from pixsim.report.score import unmet
 from pixsim.sensor.labels import label_of
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.sensor.stages import stage_words
@@ -20,7 +21,7 @@ from pixsim.studies.sensors import ComparisonJob, SensorGroup, pixels_of
 from pixsim.viewer.dark_clip import clip_note, clips_dark
 from pixsim.viewer.metric_registry import metrics_named
 from pixsim.viewer.metrics import DELTA_E, Metric
-from pixsim.viewer.score import noise_error_and_limit, unmet
+from pixsim.viewer.score import exceeded, noise_error_and_limit
 from pixsim.viewer.setting import Run
 
 # --- verdicts ---------------------------------------------------------------------------------------------------------------------
@@ -238,8 +239,9 @@ def unconverged(result: Comparison) -> list[str]:
         where = f" in {group.first.condition}" if group.first.condition else ""
         for sensor in result.of_group(group).values():
             sized += [(cause.delta_e, f"{sensor.name}{where}: {cause.words}") for cause in sensor.causes]
-            noise = unmet(*noise_error_and_limit(sensor.light.image.header))
-            sized += [(size, f"{NOT_CONVERGED}: {words}") for size, words in noise]
+            errors = noise_error_and_limit(sensor.light.image.header)
+            texts = (f"{NOT_CONVERGED}: {words}" for words in unmet(*errors))
+            sized += zip(exceeded(*errors).values(), texts, strict=True)
     sized.sort(key=lambda pair: -pair[0])
     noisiest = next((words for _, words in sized if words.startswith(NOT_CONVERGED)), "")
     return list(dict.fromkeys(words for _, words in sized if not words.startswith(NOT_CONVERGED) or words == noisiest))

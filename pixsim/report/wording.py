@@ -12,13 +12,14 @@ from pixsim.base.caller import setting
 from pixsim.base.digits import f_stop, interval, told_apart
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.optics.camera import Camera
+from pixsim.report.score import unmet
 from pixsim.scene.convergence import RENDER_NOISE, what_reaches
 from pixsim.show.document import Answer, Strong, joined
 from pixsim.studies.film_error import FilmError, light_error_and_limit
 from pixsim.studies.merit import stated_end_lp_per_mm
 from pixsim.studies.regret import Regrets, weighted_criterion
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.score import converged, unmet
+from pixsim.viewer.score import converged
 
 if TYPE_CHECKING:
     from pixsim.studies.curve import Curve
@@ -77,7 +78,7 @@ def unconverged(header: Mapping[str, Any], film: FilmError | None) -> list[str]:
     error, limit = light_error_and_limit(header, film)
     if converged(error, limit):
         return []
-    first = f"{NOT_CONVERGED}: {'; '.join(words for _, words in unmet(error, limit))}"
+    first = f"{NOT_CONVERGED}: {'; '.join(words for words in unmet(error, limit))}"
     if film is None:
         return [f"{first}. To be surer: a render of its own, with more samples"]
 

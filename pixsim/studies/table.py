@@ -291,7 +291,7 @@ class Store:
                 for row in (reader := csv.DictReader(_lines(file))):
                     names = reader.fieldnames or ()
                     stated = row.get(KEY) if KEY in names else "" if TEXTS[0] in names else None
-                    if stated not in map(str, ROW_SCHEMAS):
+                    if stated not in ROW_SCHEMAS:
                         if stated == "" or (stated and stated.isdecimal()):  # else the row is damaged
                             self.another_schema = stated
                     elif self._is_whole(row):

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from typing import Annotated, Any
 
 import numpy as np
 
 from pixsim.base.arguments import Bounds, NotNegative, checks_fields
 from pixsim.base.arrays import Array
-from pixsim.base.digits import exposure_time, told_apart, with_error, within_error
+from pixsim.base.digits import exposure_time
 from pixsim.base.errors import invalid
-from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.notes import Note
 from pixsim.base.result import Result
 from pixsim.sensor.pixel import PixelPhysics
@@ -70,7 +69,6 @@ class LightError:
 
 
 NOT_MEASURED = LightError()
-ERROR_WORDS = {"film_delta_e": "the film's error", "noise_delta_e": "the error by render noise"}
 
 
 @checks_fields
@@ -153,8 +151,9 @@ class FrameScore(Score):
         return frame_statistics(self.readout, self.frame) | super().statistics() | self.gamut
 
     def __repr__(self) -> str:
-        mean = shown_mean(self.mean_delta_e, self.light, self.light_limit, self.causes)
-        return f"<Score mean ΔE {mean}, {self.physics.pitch_um:g} µm pixels, {exposure_time(self.frame.integration_s)}>"
+        cause = f" ({self.causes[0].words})" if self.causes else ""
+        doubt = "" if converged(self.light, self.light_limit) else ", not converged"
+        return f"<Score mean ΔE {self.mean_delta_e:.3f}{cause}{doubt}, {self.physics.pitch_um:g} µm pixels, {exposure_time(self.frame.integration_s)}>"
 
 
 def frame_statistics(readout: Readout, frame: Frame) -> dict[str, float]:
@@ -201,79 +200,14 @@ def converged(error: LightError, limit: LightError) -> bool:
     >>> [converged(LightError(film_delta_e=delta_e), limit) for delta_e in (0.01, 0.6, math.nan, None)]
     [True, False, False, True]
     """
-    return not unmet(error, limit)
+    return not exceeded(error, limit)
 
 
-def unmet(error: LightError, limit: LightError) -> list[tuple[float, str]]:
-    """Return the errors above their limits, the largest first: ΔE and words; an unknown one is infinite."""
-    above = []
-    for name, words in ERROR_WORDS.items():
-        delta_e, most_delta_e = getattr(error, name), getattr(limit, name)
-        if delta_e is None or most_delta_e is None or delta_e <= most_delta_e:
-            continue
-        size, most = told_apart(delta_e, most_delta_e, 1)
-        size = "unknown" if math.isnan(delta_e) else f"up to {size} ΔE"
-        most = "its limit exceeded" if math.isnan(most_delta_e) else f"{most} tolerated"
-        above.append((math.inf if math.isnan(delta_e) else delta_e, f"{words} is {size}, {most}"))
-    return sorted(above, key=lambda pair: -pair[0])
-
-
-def shown_mean(
-    mean_delta_e: float,
-    error: LightError,
-    limit: LightError,
-    causes: Sequence[Cause] = (),
-    half_delta_e: float = 0.0,
-    scatter_delta_e: float = 0.0,
-) -> str:
-    """Return `mean_words`, and whether the errors of the light are below their limits.
-
-    >>> shown_mean(0.9731, LightError(), LightError()), shown_mean(0.9731, LightError(0.6), LightError(0.02))
-    ('0.973', '1.0 ± 0.6 (film), not converged')
-    """
-    words = mean_words(mean_delta_e, error, limit, causes, half_delta_e, scatter_delta_e)
-    return words if converged(error, limit) else f"{words}, {NOT_CONVERGED}"
-
-
-def mean_words(
-    mean_delta_e: float,
-    error: LightError,
-    limit: LightError,
-    causes: Sequence[Cause] = (),
-    half_delta_e: float = 0.0,
-    scatter_delta_e: float = 0.0,
-) -> str:
-    """Return a mean ΔE as text, with the film's error if that is above its limit, and with its largest cause.
-
-    half_delta_e : half of its 95 % interval, of several sensors
-    scatter_delta_e : likewise, of an estimate whose interval is not stated: it has no more digits than that allows
-
-    "…" stands for smaller causes, which the lines below a headline name.
-
-    >>> mean_words(0.97312, LightError(), LightError(), half_delta_e=0.0021)
-    '0.9731 ± 0.0021 (95 %)'
-    >>> mean_words(0.9731, LightError(0.6), LightError(0.02), half_delta_e=0.0021)
-    '1.0 ± 0.6 (95 % and film)'
-    >>> few_codes = (Cause("all codes are equal", 100.0, "more bits"),)
-    >>> mean_words(76.54, LightError(3.6), LightError(0.02), few_codes)
-    '76.5 (all codes are equal) ± 3.6 (film)'
-    """
-    is_film_met = converged(replace(error, noise_delta_e=None), limit)
-    film_delta_e = 0.0 if is_film_met or error.film_delta_e is None else error.film_delta_e
-
-    value, uncertainty = within_error(mean_delta_e, scatter_delta_e) if scatter_delta_e else f"{mean_delta_e:.3f}", ""
-    if math.isnan(film_delta_e):
-        uncertainty = " ± an unknown error (film)"
-    elif film_delta_e or half_delta_e:
-        value, _, uncertainty = with_error(mean_delta_e, half_delta_e + film_delta_e).partition(" ")
-        parts = ["95 %"] * (half_delta_e > 0) + ["film"] * (film_delta_e > 0)
-        uncertainty = f" {uncertainty} ({' and '.join(parts)})"
-
-    cause = cause_words(causes)
-    is_film_larger = bool(causes) and causes[0].delta_e < film_delta_e
-    return f"{value}{uncertainty}{cause}" if is_film_larger else f"{value}{cause}{uncertainty}"
-
-
-def cause_words(causes: Sequence[Cause]) -> str:
-    """Return the largest of some causes in brackets, the first one; empty without any."""
-    return f" ({causes[0].words}{', …' if len(causes) > 1 else ''})" if causes else ""
+def exceeded(error: LightError, limit: LightError) -> dict[str, float]:
+    """Return the errors above their limits by the names of their fields, the largest first; an unknown one is infinite."""
+    above: dict[str, float] = {}
+    for name, delta_e in asdict(error).items():
+        limit_delta_e = getattr(limit, name)
+        if delta_e is not None and limit_delta_e is not None and not delta_e <= limit_delta_e:
+            above[name] = math.inf if math.isnan(delta_e) else delta_e
+    return dict(sorted(above.items(), key=lambda pair: -pair[1]))

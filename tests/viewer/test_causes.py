@@ -23,6 +23,7 @@ from pixsim.light.spectral import DIFFUSER, WHITE_RADIANCE, SpectralImage, Spect
 from pixsim.optics.camera import Camera
 from pixsim.report.curve import optimum_line
 from pixsim.report.run import run_document, shown_mean_of, unsure_words
+from pixsim.report.score import shown_mean, unmet
 from pixsim.report.study import study_document
 from pixsim.report.study_facts import study_notes
 from pixsim.scene.plan import make_plan
@@ -35,7 +36,7 @@ from pixsim.sensor.reading import Readout
 from pixsim.show.render import text
 from pixsim.viewer.causes import causes_of, lightness_range, tells_nothing
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.score import NOTHING, Cause, LightError, mean_words, shown_mean, unmet
+from pixsim.viewer.score import NOTHING, Cause, LightError
 
 SCENE = """<scene version="3.0.0">
     <default name="fov" value="38.594975"/><default name="resolution" value="32"/>
@@ -314,7 +315,7 @@ def test_adc_that_sees_little_is_the_first_cause(options: dict[str, Any], words:
     assert words in cause.words
     assert 40 < cause.delta_e <= 100
     shown = shown_mean(76.54, LightError(3.6), LightError(0.02), score.causes)
-    assert shown == f"76.5 ({cause.words}) ± 3.6 (film), not converged"
+    assert shown == f"76.5 ({cause.words}) ± 3.6 (film)", "one warning, the larger one"
 
 
 def test_signal_below_one_step_is_named_beside_a_bright_white() -> None:
@@ -353,10 +354,11 @@ def test_hint_names_the_setting_that_states_white(header: dict[str, Any], displa
 
 def test_largest_cause_is_named_first() -> None:
     few, left_out = Cause("few codes", 50.0, "more bits"), Cause("light left out", 2.0, "a filter")
-    assert mean_words(76.5, LightError(3.6), LightError(0.02), (few, left_out)) == "76.5 (few codes, …) ± 3.6 (film)"
+    assert shown_mean(76.5, LightError(3.6), LightError(0.02), (few, left_out)) == "76.5 (few codes) ± 3.6 (film)"
+    assert shown_mean(76.5, LightError(3.6), LightError(0.02), (left_out,)) == "76.5 ± 3.6 (film), not converged"
     limit = LightError(0.02, 0.01)
     for noise_delta_e, first in ((0.5, "the film's error is up to 0.6"), (2.8, "the error by render noise is up to 3")):
-        words = [words for _, words in unmet(LightError(0.6, noise_delta_e), limit)]
+        words = unmet(LightError(0.6, noise_delta_e), limit)
         assert words[0].startswith(first)
         assert len(words) == 2
     outside = outside_header([Spectrum(np.array([400.0, 900.0]), np.ones(2))])
@@ -370,7 +372,7 @@ def test_largest_cause_is_named_first() -> None:
     assert [line.split()[0] for line in unsure_words(result)] == ["not", "light"]  # 2.5 and 2 ΔE, and 1 of the black level
     more = unsure_words(run_result([4.0], header, causes=[left_out], dark=dark | {"lightness": 2.2}))
     assert [line.split()[0] for line in more] == ["not", "the", "light"]
-    assert shown_mean_of(result) == "4.000 (light left out), not converged"
+    assert shown_mean_of(result) == "4.000, not converged", "2.5 ΔE of the render above 2 of the cause"
 
 
 # --- wherever a score is shown ---

@@ -20,7 +20,7 @@ from pixsim.show.document import plain_text
 from pixsim.studies.film_error import FilmError
 from pixsim.studies.result import StudyResult
 from pixsim.studies.run import RunResult
-from pixsim.viewer.score import LightError, converged, noise_error_and_limit, unmet
+from pixsim.viewer.score import LightError, converged, exceeded, noise_error_and_limit
 
 NOISY = {"fraction": 2.4, "target": 0.2, "ended_by": "samples", "delta_e": 0.36}  # of which 0.03 is left at the target
 QUIET = NOISY | {"fraction": 0.2, "ended_by": "target"}  # at its target
@@ -52,7 +52,7 @@ def test_light_has_converged_if_no_error_is_above_its_limit(film, noise):
     error, limit = (LightError(of_film, of_noise) for of_film, of_noise in zip(film, noise, strict=True))
     is_above = [pair in ABOVE for pair in (film, noise)]
     assert converged(error, limit) == (not any(is_above))
-    assert len(unmet(error, limit)) == sum(is_above)
+    assert len(exceeded(error, limit)) == sum(is_above)
 
 
 @pytest.mark.parametrize("fraction", [0.05, 0.2, 0.2 * (1 + 1e-9), 2.4])
