@@ -153,7 +153,8 @@ class FrameScore(Score):
     def __repr__(self) -> str:
         cause = f" ({self.causes[0].words})" if self.causes else ""
         doubt = "" if converged(self.light, self.light_limit) else ", not converged"
-        return f"<Score mean ΔE {self.mean_delta_e:.3f}{cause}{doubt}, {self.physics.pitch_um:g} µm pixels, {exposure_time(self.frame.integration_s)}>"
+        mean = f"mean ΔE {self.mean_delta_e:.3f}{cause}{doubt}"
+        return f"<Score {mean}, {self.physics.pitch_um:g} µm pixels, {exposure_time(self.frame.integration_s)}>"
 
 
 def frame_statistics(readout: Readout, frame: Frame) -> dict[str, float]:
