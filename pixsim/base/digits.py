@@ -137,6 +137,17 @@ def with_error(value: float, error: float) -> str:
     return f"{round(value, decimals):.{places}f} ± {round(error, decimals):.{places}f}"
 
 
+def difference_cells(difference: float, ends: tuple[float, float]) -> tuple[str, str]:
+    """Return a difference and its interval, with signs and the digits that half of the interval allows.
+
+    >>> difference_cells(0.12345, (0.11, 0.137)), difference_cells(-2.0, (-2.0, -2.0))
+    (('+0.12', '+0.11 to +0.14'), ('-2.000', '-2.000'))
+    """
+    half = (ends[1] - ends[0]) / 2
+    value, low, high = (f"{'+' * (end > 0)}{within_error(end, half)}" for end in (difference, *ends))
+    return value, span(low, high)
+
+
 def _decade(value: float) -> int:
     """Return the power of ten of the first digit."""
     return math.floor(math.log10(abs(value))) if value else 0

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.digits import exposure_time, probability, rounded, span
+from pixsim.base.digits import difference_cells, exposure_time, probability, rounded
 from pixsim.base.files import check_replaceable
 from pixsim.base.machine import processors
 from pixsim.base.notes import Note
@@ -723,11 +723,6 @@ def _row(sensor: ComparedSensor) -> tuple[str, ...]:
         rounded(statistics["full_well_e"], 4),
         f"{100 * statistics['saturated_fraction']:.2g} %",
     )
-
-
-def difference_cells(difference: float, interval: tuple[float, float]) -> tuple[str, str]:
-    """Return a difference and its 95 % interval."""
-    return f"{difference:+.4f}", span(*interval, "+.4f")
 
 
 def film_cell(film_delta_e: float | None) -> str:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.digits import exposure_time, number, rounded
+from pixsim.base.digits import exposure_time, number, rounded, with_error, within_error
 from pixsim.base.notes import Note
 from pixsim.base.schema import result_data
 from pixsim.base.tables import rows_csv
@@ -58,7 +58,7 @@ def photon_transfer_plate(sheet: DataSheet) -> Drawing:
     axes.plot(signal[t.fitted], variance[t.fitted], "o", ms=3.5, color=BLUE, label=f"fitted, up to {100 * SENSITIVITY_SHARE:.0f} %")
     reach = np.array([0.0, signal[t.saturation_index]])
     k = t.gain_dn_per_e
-    axes.plot(reach, k.value * reach, "--", color=ORANGE, lw=1.2, label=f"K = {k.value:.4g} ± {k.error:.1g} DN/e⁻")
+    axes.plot(reach, k.value * reach, "--", color=ORANGE, lw=1.2, label=f"K = {with_error(k.value, k.error)} DN/e⁻")
     axes.plot(signal[t.saturation_index], variance[t.saturation_index], "v", ms=9, mfc="white", mec=ORANGE, mew=1.5,
               label="saturation")  # fmt: skip
     finish(axes, "mean gray value minus dark, μ_y − μ_y.dark (DN)", "temporal variance, σ²_y − σ²_y.dark (DN²)")
@@ -273,10 +273,10 @@ def entry_rows(sheet: DataSheet) -> list[tuple[str, ...]]:
     for standard, entries in groupby(sheet.entries, attrgetter("standard")):
         rows.append((standard,))
         for entry in entries:
-            measured, standard_error, true = (
-                number(value, digits, ROUNDING)
-                for value, digits in ((entry.measured, 5), (entry.standard_error, 2), (entry.true, 5))
-            )
+            standard_error, true = number(entry.standard_error, 2, ROUNDING), number(entry.true, 5, ROUNDING)
+            measured = number(entry.measured, 5, ROUNDING)
+            if entry.measured is not None and entry.standard_error:
+                measured = within_error(entry.measured, entry.standard_error)
             rows.append((entry.quantity, entry.symbol, measured, standard_error, true, entry.unit, off(entry), entry.note))
     return rows
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from pixsim.base.arrays import Array
-from pixsim.base.digits import exposure_time, rounded, span, with_error
+from pixsim.base.digits import exposure_time, rounded, span, with_error, within_error
 from pixsim.base.files import digest_of
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.notes import Note, warn
@@ -388,7 +388,9 @@ def facts(result: RunResult) -> Iterator[Block]:
         if judged_by_delta_e(result):
             sensors_delta_e = span(result.delta_e.min(), result.delta_e.max(), ".3f")
             where = "" if result.is_spread else " of this registration"
-            words += f": ΔE of {sensors_delta_e}, 95 % interval of their mean{where} {span(*result.interval_delta_e, '.4f')}"
+            low, high = result.interval_delta_e
+            ends = span(*(within_error(end, (high - low) / 2) for end in (low, high)))
+            words += f": ΔE of {sensors_delta_e}, 95 % interval of their mean{where} {ends}"
         yield Fact(f"{words}; pictures and frames are of the first")
     if frames > 1:
         between = {2: "", 3: f", {raw_stem(2)}.exr"}.get(frames, f", {raw_stem(2)}.exr, …")

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pixsim.base.digits import probability, span, with_error
+from pixsim.base.digits import difference_cells, probability, with_error
 from pixsim.base.schema import result_data
 from pixsim.base.tables import rows_csv
 from pixsim.show.document import Answer, Block, Document, DocumentTable, Listed, Strong
@@ -101,10 +101,12 @@ def _facts(result: ResultsComparison) -> Iterator[Block]:
     for pair in result.differences:
         row = pair_data(pair)
         is_one = row["interval"] is None
-        interval = "" if is_one else span(row["interval"][0], row["interval"][1], "+.4g")
+        difference, interval = f"{row['difference']:+.4g}", ""
+        if not is_one:
+            difference, interval = difference_cells(row["difference"], tuple(row["interval"]))
         chance = "" if is_one else probability(row["probability_a_better"], row["pairs"])
         values = [str(pair.place.get(name, "")) for name in labels]
-        rows.append((*values, row["metric"], f"{row['difference']:+.4g}", interval, chance, str(row["pairs"])))
+        rows.append((*values, row["metric"], difference, interval, chance, str(row["pairs"])))
     yield DocumentTable("differences", head, rows, words=tuple(range(1, len(labels) + 1)))
     if result.only_in_one:
         yield Listed([f"{result.only_in_one} rows are in one of the results only"])

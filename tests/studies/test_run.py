@@ -17,6 +17,7 @@ from scipy import stats
 
 import pixsim
 from pixsim.base.caller import command_line
+from pixsim.base.digits import within_error
 from pixsim.base.files import PROVENANCE
 from pixsim.base.schema import SCHEMA
 from pixsim.report.run import run_document, shown_mean_of
@@ -155,7 +156,8 @@ def test_repeats_are_in_all_outputs(made: RunResult, tmp_path: Path) -> None:
     assert score["repeats"] == len(score["delta_e"]) == 3
     assert low < score["sensors_mean_delta_e"] == np.mean(score["delta_e"]) < high
     assert (tmp_path / "out/raw_002.npz").is_file()
-    line = f"95 % interval of their mean {low:.4f} to {high:.4f}; pictures and frames are of the first"
+    ends = " to ".join(within_error(end, (high - low) / 2) for end in (low, high))
+    line = f"95 % interval of their mean {ends}; pictures and frames are of the first"
     assert line in (tmp_path / "out/report.html").read_text(encoding="utf-8")
     settings = (tmp_path / "out/settings.toml").read_text(encoding="utf-8")
     assert "--repeats 3 --frames 2" in settings.splitlines()[1]
