@@ -94,7 +94,8 @@ def snr_plate(sheet: DataSheet) -> Drawing:
     axes = figure.subplots()
     electrons = t.efficiency.value * photons
     model = electrons / np.sqrt(t.dark_noise_e.value**2 + 1 / 12 / t.gain_dn_per_e.value**2 + electrons)
-    axes.loglog(photons, np.sqrt(electrons), ":", color="0.4", lw=1, label="ideal sensor of the same η: √μ_e")
+    ideal = np.sqrt(electrons)
+    axes.loglog(photons, ideal, ":", color="0.4", lw=1, label="ideal sensor of the same η: √μ_e")
     axes.loglog(photons, model, "-", color=BLUE, lw=1, label="model from K, η and σ_d")
     axes.loglog(photons[positive], snr_temporal[positive], "o", ms=3.5, color=BLUE, label="measured, temporal noise")
     axes.loglog(photons[positive], snr_total[positive], "s", ms=3.5, color=ORANGE, label="measured, total noise with fixed pattern")
@@ -102,8 +103,8 @@ def snr_plate(sheet: DataSheet) -> Drawing:
     axes.axvline(t.saturation_p.value, color="0.5", lw=1, ls="-.", label="μ_p.sat")
     axes.set_ylim(bottom=0.1)
     finish(axes, photon_axis(sheet), "SNR (mean / standard deviation)", "lower right")
-    table = {"photons_p": photons, "snr_temporal": snr_temporal, "snr_total": snr_total, "snr_model": model}
-    return figure, table
+    measured = {"snr_temporal": snr_temporal, "snr_total": snr_total}
+    return figure, {"photons_p": photons, **measured, "snr_model": model, "snr_ideal": ideal}
 
 
 @figure("linearity", "Linearity: deviation of the mean signal from a straight line. Bars: standard error.")
@@ -138,22 +139,27 @@ def dark_current_plate(sheet: DataSheet) -> Drawing:
     (from_mean, from_variance), (temperatures, warm) = sheet.dark_currents, sheet.warm_currents
     figure = new_figure(9.6 if warm else 6.4, 3.6)
     panels = np.atleast_1d(figure.subplots(1, 3 if warm else 2))
-    columns = (dark.mean_dn / k, "mean, with black level (e⁻)", "μ_I.mean", from_mean), (
-        dark.variance_dn2 / k**2, "variance (e⁻²)", "μ_I.var", from_variance)  # fmt: skip
-    for axes, (values, label, symbol, current) in zip(panels, columns, strict=False):
-        axes.plot(dark.at, values, "o", ms=4, color=BLUE)
+    table: dict[str, Array] = {"integration_s": dark.at}
+    quantities = (
+        ("mean_e", dark.mean_dn / k, "mean, with black level (e⁻)", "μ_I.mean", from_mean),
+        ("variance_e2", dark.variance_dn2 / k**2, "variance (e⁻²)", "μ_I.var", from_variance),
+    )
+    for axes, (name, values, label, symbol, current) in zip(panels, quantities, strict=False):
         slope, start = straight_line(dark.at, values, np.zeros_like(values))
-        axes.plot(dark.at, start.value + slope.value * dark.at, color=ORANGE, lw=1, label=f"{symbol} = {current.value:.4g} e⁻/s")
+        line = start.value + slope.value * dark.at
+        axes.plot(dark.at, values, "o", ms=4, color=BLUE)
+        axes.plot(dark.at, line, color=ORANGE, lw=1, label=f"{symbol} = {current.value:.4g} e⁻/s")
         finish(axes, "integration time (s)", f"dark {label}")
+        table |= {name: values, f"fitted_{name}": line}
     if warm:
         currents, errors = zip(*((current.value, current.error) for current in warm), strict=True)
         panels[2].errorbar(temperatures, currents, errors, fmt="o", ms=4, color=BLUE)
         panels[2].set_yscale("log")
         plain_powers(panels[2].yaxis)
         finish(panels[2], "temperature (K)", "dark current (e⁻/s)")
-    table = {"integration_s": dark.at, "mean_dn": dark.mean_dn, "variance_dn2": dark.variance_dn2, "temperature_k": temperatures,
-             "dark_current_e_per_s": np.array([current.value for current in warm])}  # fmt: skip
-    return figure, table
+    currents_e_per_s = np.array([current.value for current in warm])
+    measured = {"mean_dn": dark.mean_dn, "variance_dn2": dark.variance_dn2}
+    return figure, table | measured | {"temperature_k": temperatures, "dark_current_e_per_s": currents_e_per_s}
 
 
 def deviations(sheet: DataSheet) -> list[tuple[str, str, Array]]:
@@ -177,7 +183,7 @@ def histogram_plate(sheet: DataSheet) -> Drawing:
         counts, edges = np.histogram(map_, np.linspace(-reach, reach, BINS + 1))
         centres, sigma = (edges[1:] + edges[:-1]) / 2, max(float(map_.std()), 1e-12)
         normal = map_.size * np.diff(edges) / (sigma * np.sqrt(2 * np.pi)) * np.exp(-((centres / sigma) ** 2) / 2)
-        axes.step(centres, np.maximum(counts, 0.5), where="mid", color=colour, lw=1, label=f"{name}: {map_.size} pixels")
+        axes.step(centres, counts, where="mid", color=colour, lw=1, label=f"{name}: {map_.size} pixels")
         axes.plot(centres, normal, "--", color="0.4", lw=1, label="normal distribution of the same spread")
         axes.set_yscale("log")
         axes.set_ylim(0.5, 3 * counts.max())
@@ -221,7 +227,7 @@ def spectrogram_plate(sheet: DataSheet) -> Drawing:
 def profile_plate(sheet: DataSheet) -> Drawing:
     """Means of the columns and of the rows of the maps."""
     figure = new_figure(8.6, 3.6)
-    table: dict[str, Array] = {}
+    table: dict[str, Array] = {"column_or_row": np.arange(float(max(sheet.dark_stack.mean_dn.shape)))}
     for axes, (name, label, map_) in zip(figure.subplots(1, 2), deviations(sheet), strict=True):
         for lines, axis, look in (("columns", 0, DARK), ("rows", 1, LIGHT)):
             mean = map_.mean(axis=axis)

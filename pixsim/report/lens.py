@@ -71,6 +71,8 @@ def layout(data: LensData) -> Drawing:
     """Draw the surfaces and rays of three fields in the y-z plane."""
     cut = cross_section(data.lens)
     figure, (axes,) = panels_of(1, 4.1, legend_below=True)
+    table: dict[str, list[float | str]] = {"field_deg": [], "stop_y": [], "z_mm": [], "y_mm": []}
+    table |= {"surface": [], "surface_z_mm": [], "surface_y_mm": []}
     for index, ((z, y), is_glass) in enumerate(zip(cut.surfaces, cut.glass_behind, strict=True)):
         if is_glass and index + 1 < len(cut.surfaces):
             far_z, far_y = cut.surfaces[index + 1]
@@ -79,10 +81,12 @@ def layout(data: LensData) -> Drawing:
                 axes.plot([z[end], far_z[end]], [y[end], far_y[end]], color="0.35", lw=0.8)
         if is_glass or (index > 0 and cut.glass_behind[index - 1]):
             axes.plot(z, y, color="0.35", lw=0.9)
+            table["surface"] += [index + 1] * z.size
+            table["surface_z_mm"] += z.tolist()
+            table["surface_y_mm"] += y.tolist()
     at, semi = cut.stop
     for sign in (1, -1):
         axes.plot([at, at], [sign * semi, sign * 1.35 * semi], color="black", lw=2.5, label="stop" if sign > 0 else None)
-    table: dict[str, list[float | str]] = {"field_deg": [], "stop_y": [], "z_mm": [], "y_mm": []}
     for (angle, rays), look in zip(cut.rays.items(), LOOKS, strict=False):
         for index, (height, z, y) in enumerate(rays):
             axes.plot(z, y, color=look.colour, lw=0.8, ls=look.dashes, label=None if index else f"{angle:.3g}°")
@@ -109,6 +113,8 @@ def shown_fields(data: LensData) -> list[int]:
 )
 def spot_plate(data: LensData) -> Drawing:
     """Draw the spots of some fields on one scale, with the diameter of the Airy disc."""
+    from matplotlib.patches import Circle
+
     shown = shown_fields(data)
     figure, panels = panels_of(len(shown), 2.9, shared=True, legend_below=True)
     airy = data.airy_um
@@ -123,8 +129,7 @@ def spot_plate(data: LensData) -> Drawing:
             table["x_um"] += x.tolist()
             table["y_um"] += y.tolist()
             most = max(most, float(np.max(np.abs([x, y]), initial=0.0, where=np.isfinite([x, y]))))
-        turn = np.linspace(0, 2 * np.pi, 73)
-        axes.plot(airy * np.cos(turn), airy * np.sin(turn), color="black", lw=0.9, label="Airy disc")
+        axes.add_patch(Circle((0.0, 0.0), airy, fill=False, color="black", lw=0.9, label="Airy disc"))
         rms = "no light" if data.dark[index] else f"rms {spot.rms_um:.3g} µm"
         axes.set_title(f"{angle:.3g}°: {rms}", fontsize=9)
         axes.set_aspect("equal")

@@ -93,8 +93,7 @@ def other_statistics(curve: Curve) -> Drawing:
     axes = figure.subplots()
     fix_margins(figure)
     for (name, values), look in zip(curve.means.items(), LOOKS, strict=False):
-        label = f"{name.removesuffix('_delta_e')}: minimum {values.min():.2f} at {curve.pitch_um[values.argmin()]:.2f} µm"
-        axes.plot(curve.pitch_um, values / values.min(), ms=3.5, lw=1, label=label, **look.line)
+        axes.plot(curve.pitch_um, values / values.min(), ms=3.5, lw=1, label=name.removesuffix("_delta_e"), **look.line)
     axes.set(xlabel="pixel size (µm)", ylabel="ΔE over its minimum", ylim=(0.9, 3.0))
     axes.grid(alpha=0.25)
     axes.legend(frameon=False, fontsize=8, handlelength=LEGEND_LINE)

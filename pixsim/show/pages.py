@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import wraps
-from typing import TYPE_CHECKING, Literal, ParamSpec, TypeAlias
+from typing import TYPE_CHECKING, Literal, NamedTuple, ParamSpec, TypeAlias
 
 import numpy as np
 
@@ -58,7 +58,16 @@ class Plate:
 
 
 Drawing: TypeAlias = tuple["Figure", Mapping[str, Array | Column]]  # a figure, and the columns of its CSV
-CAPTIONS: dict[str, str] = {}  # of all figures, by name
+
+
+class RegisteredFigure(NamedTuple):
+    """A kind of figure: the function that draws it of a result, and its caption."""
+
+    draw: Callable[..., Plate]
+    caption: str
+
+
+FIGURES: dict[str, RegisteredFigure] = {}  # name -> figure, of the modules that are imported
 
 
 def figure(name: str, caption: str) -> Callable[[Callable[P, Drawing]], Callable[P, Plate]]:
@@ -77,7 +86,7 @@ def figure(name: str, caption: str) -> Callable[[Callable[P, Drawing]], Callable
                 drawing, columns = draw(*args, **options)
             return Plate(name, caption, drawing, _table_of(columns))
 
-        CAPTIONS[name] = caption
+        FIGURES[name] = RegisteredFigure(plate, caption)
         return plate
 
     return register

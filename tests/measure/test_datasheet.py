@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from helpers.browser import assert_fits, assert_prints, needs_browser
 from helpers.commands import command
-from helpers.looks import grey_look
+from helpers.looks import grey_look, lines_without_rows
 
 import pixsim
 from pixsim.base.arrays import stream
@@ -577,6 +577,11 @@ def test_datasheet_report_fits_browser_and_print(sheet: DataSheet, tmp_path: Pat
     assert_fits(page, tmp_path)
     texts = ["Data sheet", sheet_name(sheet.experiment.physics.pixel).split("-")[1], "μ_p.sat", "Data (CSV)"]
     assert_prints(page, tmp_path, range(4, 9), texts, ["Measured and true", "Figures", "How it was made"])
+
+
+def test_datasheet_tables_hold_the_lines_drawn(sheet: DataSheet) -> None:
+    drawn = [plot.draw() for plot in datasheet_document(sheet).plots]
+    assert {plate.name: lines for plate in drawn if (lines := lines_without_rows(plate))} == {}
 
 
 def test_datasheet_figures_lines_differ_in_greyscale(sheet: DataSheet) -> None:

@@ -13,11 +13,18 @@ import numpy as np
 import pytest
 from helpers.commands import command
 from helpers.lenses import triplet
+from helpers.looks import lines_without_rows
 
 import pixsim
 from pixsim.base.schema import SCHEMA
 from pixsim.measure.lens import lens_data
 from pixsim.report.lens import lens_document
+
+
+def test_tables_hold_the_lines_drawn() -> None:
+    data = lens_data(pixsim.load_lens("double_gauss"), [486.1, 656.3])
+    drawn = [plot.draw() for plot in lens_document(data).plots]
+    assert {plate.name: lines for plate in drawn if (lines := lines_without_rows(plate))} == {}
 
 
 @pytest.mark.parametrize(("name", "scale"), [("singlet", 1.0), ("double_gauss", 0.005)])

@@ -167,9 +167,13 @@ def test_figures_that_wait_are_given_up_when_a_block_fails() -> None:
         begun.set()
         time.sleep(0.1)
 
-    with pytest.raises(KeyboardInterrupt), figures.drawing_thread() as pool:
-        pool.submit(first)
-        begun.wait()
-        pool.submit(drawn.append, "second")
-        raise KeyboardInterrupt
+    def interrupted() -> None:
+        with figures.drawing_thread() as pool:
+            pool.submit(first)
+            begun.wait()
+            pool.submit(drawn.append, "second")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
     assert not drawn

@@ -11,7 +11,7 @@ import numpy as np
 
 import pixsim
 from pixsim.show.figures import new_figure
-from pixsim.show.pages import CAPTIONS, Drawing, figure
+from pixsim.show.pages import FIGURES, Drawing, figure
 
 PACKAGE = Path(pixsim.__file__).parent
 
@@ -40,7 +40,8 @@ def registered() -> list[tuple[str, ast.expr]]:
 
 def test_name_and_caption_come_from_the_registry():
     plate = parabola(4)
-    assert (plate.name, plate.caption) == ("parabola", CAPTIONS["parabola"])
+    assert (plate.name, plate.caption) == ("parabola", "A parabola.")
+    assert FIGURES["parabola"] == (parabola, "A parabola.")
     assert plate.named("parabola_2").name == "parabola_2"
     assert pickle.loads(pickle.dumps(parabola)) is parabola, "a process of its own draws it"
 
