@@ -37,6 +37,7 @@ from pixsim.report.verdicts import (
     metric_words,
     notes,
     over_cases,
+    pairs_of_all,
     sensor_words,
     shared_stages,
     shown_mean,
@@ -84,7 +85,7 @@ from pixsim.studies.comparison import ComparedSensor, Comparison, DisplayDiffere
 from pixsim.studies.design import BASE, frame_cost
 from pixsim.studies.dry_run import PAGE_S, START_S, Cost, render_bytes, render_seconds
 from pixsim.studies.files import scene_table, settings_text, without_files_of_axis
-from pixsim.studies.paired import Pairs, mean_interval
+from pixsim.studies.paired import mean_interval
 from pixsim.studies.sensors import OF_A_SENSOR, SHARED, ComparisonJob, SensorGroup, pixels_of
 from pixsim.studies.settings import Condition, Study, paths_of
 from pixsim.studies.table import ROWS_FILE
@@ -103,7 +104,7 @@ SCORES_CAPTION = (
     "later sensor from the first at each of their values. The film's error is not in it."
 )
 ROWS_FILES = {
-    ROWS_FILE: "mean ΔE of each frame, with which an interrupted comparison goes on",
+    ROWS_FILE: "numbers of each frame, with which an interrupted comparison goes on",
     TYPES_FILE: "the same of the sensor types of --uncertainty",
 }
 
@@ -194,7 +195,7 @@ def _outline_blocks(job: ComparisonJob, shown: dict[str, Any], out: Path) -> Ite
 def figures_of(job: ComparisonJob) -> dict[str, str]:
     """Return the names of the figures of a comparison, with their descriptions."""
     has_budget = job.shown.first.settings.noise_budget
-    return {SCORES: "mean ΔE of each frame"} | ({NAME: "noise and ΔE by cause"} if has_budget else {})
+    return {SCORES: "the first metric of each frame"} | ({NAME: "noise and ΔE by cause"} if has_budget else {})
 
 
 def comparison_files(job: ComparisonJob) -> dict[str, str]:
@@ -534,15 +535,8 @@ def _metric_data(result: Comparison, metric: Metric) -> dict[str, Any]:
     """Return what compare.json has of a further metric."""
     return {
         "scores": {name: list(mean_interval(result.frames(name, metric))) for name in result.names},
-        "probability_a_better": {other: _better_by(result, metric, other) for other in result.names[1:]},
+        "probability_a_better": {other: pairs_of_all(result, other, metric).probability_a_better for other in result.names[1:]},
     }
-
-
-def _better_by(result: Comparison, metric: Metric, other: str) -> float:
-    """Return the probability that the first sensor is better than another one by a metric, among all of the sensors."""
-    return Pairs(
-        (result.names[0], other), result.frames(result.names[0], metric), result.frames(other, metric), metric
-    ).probability_a_better
 
 
 def _sensor_data(sensor: ComparedSensor) -> dict[str, Any]:

@@ -200,7 +200,22 @@ def metric_mean(result: Comparison, name: str, metric: Metric) -> str:
 def metric_words(result: Comparison, metric: Metric) -> str:
     """Return what a further metric says of the sensors: their means with 95 % intervals, and who is better."""
     means = ", ".join(f"{name} {metric_mean(result, name, metric)}" for name in result.names)
-    return f"{metric.words}: {means}; {'; '.join(metric_verdict(result, other, metric) for other in result.names[1:])}"
+    better = []
+    for other in result.names[1:]:
+        pairs = pairs_of_all(result, other, metric)
+        chance = pairs.probability_a_better
+        winner, loser = (result.names[0], other) if chance >= 0.5 else (other, result.names[0])
+        better.append(f"{winner} is better than {loser} (probability {probability(max(chance, 1 - chance), pairs.a.size)})")
+    return f"{metric.words}: {means}; {', '.join(better)}"
+
+
+def pairs_of_all(result: Comparison, other: str, metric: Metric) -> Pairs:
+    """Return the pairs of frames of the first sensor and another one among all of the sensors.
+
+    other : name of the other one
+    """
+    first = result.names[0]
+    return Pairs((first, other), result.frames(first, metric), result.frames(other, metric), metric)
 
 
 # --- notes ------------------------------------------------------------------------------------------------------------------------

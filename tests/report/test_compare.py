@@ -129,6 +129,30 @@ def test_verdict_depends_on_the_display_where_the_sign_differs(
     assert depends(Comparison(job, None, ()), "b") == words  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize("metrics", [["detectability"], ["detectability", "delta_e"]])
+def test_first_metric_decides_and_delta_e_stands_where_it_was_asked_for(metrics: list[str], tmp_path: Path) -> None:
+    """In the terminal, the page, the figure and its table."""
+    asked = " ".join(f"--metric {name}" for name in metrics)
+    small = "--scene target --display.dots 32 --resolution 64 --repeats 3 --jobs 1 --match view"
+    code, out, err = command(f"compare {asked} {small} --out {tmp_path / 'out'}", *two_sheets(tmp_path))
+    assert code == 0, err
+    head, *others = out.splitlines()
+    assert re.match(
+        r"quiet is better than noisy_one by [\d.]+ ± [\d.]+ in detectability d′ \(probability > .875\) with match view", head
+    )
+    is_asked = "delta_e" in metrics
+    assert any(line.startswith("mean ΔE: ") for line in others) == is_asked
+    page = html.unescape(text_of(tmp_path / "out"))
+    assert ("mean ΔE" in re.sub(r'"data:[^"]*"', "", page)) == is_asked
+    assert ("differences of mean ΔE" in page) == is_asked
+
+    found = json.loads((tmp_path / "out/compare.json").read_text(encoding="utf-8"))
+    rows = (tmp_path / "out/figures/scores.csv").read_text(encoding="utf-8").splitlines()
+    assert rows[0] == "case,sensor,repeat,detectability"
+    means = [np.mean([float(row.split(",")[3]) for row in rows[1:] if row.split(",")[1] == name]) for name in found["names"]]
+    assert means == pytest.approx([found["metrics"]["detectability"]["scores"][name][1] for name in found["names"]])
+
+
 @pytest.mark.parametrize(
     ("signs", "words"),
     [
