@@ -101,13 +101,11 @@ def work_precision(accuracy: Accuracy) -> Drawing:
     figure = new_figure(6.4, 4.0)
     axes = figure.subplots()
     seconds = [rung.seconds for rung in accuracy.rungs]
-    errors = {
-        "measured": [rung.error_delta_e for rung in accuracy.rungs],
-        "stated": [rung.stated_delta_e for rung in accuracy.rungs],
-    }
-    for (name, values), look in zip(errors.items(), LOOKS, strict=False):
-        if any(value > 0 for value in values):  # a logarithmic axis leaves out what is not above 0
-            axes.plot(seconds, values, label=name, ms=6, **look.line)
+    measured = [rung.error_delta_e for rung in accuracy.rungs]
+    stated = [rung.stated_delta_e for rung in accuracy.rungs]
+    for name, errors, look in zip(("measured", "stated"), (measured, stated), LOOKS, strict=False):
+        if any(error > 0 for error in errors):  # a logarithmic axis leaves out what is not above 0
+            axes.plot(seconds, errors, label=name, ms=6, **look.line)
 
     for rung in accuracy.rungs:
         height = rung.error_delta_e if rung.error_delta_e > 0 else rung.stated_delta_e
@@ -117,7 +115,8 @@ def work_precision(accuracy: Accuracy) -> Drawing:
     plain_powers(axes.xaxis)
     axes.grid(which="major", alpha=0.25)
     axes.legend(fontsize=8, frameon=False)
-    return figure, {"across": [rung.across for rung in accuracy.rungs], "seconds": seconds, **errors}
+    across = [rung.across for rung in accuracy.rungs]
+    return figure, {"across": across, "seconds": seconds, "error_delta_e": measured, "stated_delta_e": stated}
 
 
 def ladder_table(accuracy: Accuracy) -> DocumentTable:
