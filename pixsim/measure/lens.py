@@ -111,7 +111,7 @@ class LensData(Result):
 
     @cached_property
     def rms_waves(self) -> Array:
-        """(F,) rms wavefront of the primary wavelength in waves, without piston and tilt; NaN without light."""
+        """(F,) rms wavefront without piston and tilt, relative to the primary wavelength; NaN without light."""
         return np.where(self.dark, np.nan, rms_wavefronts(self.lens, self.field_deg))
 
     @cached_property

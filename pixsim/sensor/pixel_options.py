@@ -309,7 +309,7 @@ class PixelOptions(Record):
 
     @property
     def adc_range_per_well(self) -> float | None:
-        """Range of the ADC over the full well of a data sheet; None if it does not state both."""
+        """Ratio of the range of the ADC to the full well of a data sheet; None if it does not state both."""
         full_well_e = self.saturation_capacity_e if self.full_well_e is None else self.full_well_e
         gain_e_per_dn = self.stated_gain_e_per_dn
         if full_well_e is None or gain_e_per_dn is None:

@@ -161,7 +161,10 @@ class Readout:
         return replace(self, physics=replace(self.physics, **numbers))
 
     def with_silent(self, names: tuple[str, ...]) -> Readout:
-        """Return the same reading of a pixel with these noise sources switched off, and no others."""
+        """Return the same reading of a pixel with some noise sources switched off, and no others.
+
+        names : of these sources
+        """
         return replace(self, silent=names)
 
     @property
