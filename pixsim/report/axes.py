@@ -17,7 +17,16 @@ from pixsim.report.curve import curve_data, delta_e_against_pitch, optima_data, 
 from pixsim.report.maps import alone_groups, alone_plate, axis_plates, case_columns, optimum_columns, plate_names
 from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.regret import REGRETS, condition_regrets_data, regrets_plate, regrets_tables
-from pixsim.report.study import agrees, document_of, plot_of, report_files, study_document, study_page, with_files_of_study
+from pixsim.report.study import (
+    ANSWERS_OF_PAGE,
+    agrees,
+    document_of,
+    plot_of,
+    report_files,
+    study_document,
+    study_page,
+    with_files_of_study,
+)
 from pixsim.report.study_facts import study_notes
 from pixsim.report.wording import DELTA_E, film_words, rendered_words
 from pixsim.show.document import Block, Document, DocumentTable, Fact, Link, Listed, Plot, Section, made_with, pairs
@@ -195,6 +204,7 @@ def axes_page(
     made = f"{result.counts}. Study seed {result.study.seed}; first render: {rendered_words(header)}."
     return replace(
         brief,
+        answers=tuple(brief.answers)[:ANSWERS_OF_PAGE],
         data=cases_data(result, regrets),
         lead=(first, *brief.lead),
         sections=(

@@ -28,6 +28,7 @@ from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.pictures import crops, picture_axes, size_words
 from pixsim.report.run import colour_rows
 from pixsim.report.settings import record_rows, scene_rows, settings_blocks, settings_table
+from pixsim.report.uncertainty import largest_share_words, pair_words
 from pixsim.report.verdicts import (
     asked_metrics,
     common_words,
@@ -384,7 +385,7 @@ def facts(result: Comparison) -> Iterator[Block]:
         for case in result.cases
         for other in result.names[1:]
     ]
-    listed = [*(of_cases if len(result.cases) > 1 else []), *(drawn.words for drawn in result.uncertainty)]
+    listed = [*(of_cases if len(result.cases) > 1 else []), *map(pair_words, result.uncertainty)]
     if listed:
         yield Listed(listed)
     for metric in others:
@@ -733,7 +734,7 @@ def _unknown(drawn: PairUncertainty) -> tuple[str, ...]:
         str(better.draws),
         str(better),
         *(f"{ends[name]:+{form}}" for name in ("p05", "p50", "p95")),
-        drawn.matters,
+        largest_share_words(drawn),
     )
 
 

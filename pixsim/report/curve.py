@@ -74,9 +74,9 @@ def _optimum_parts(curve: Curve) -> list[Text]:
     if not best.inside:
         ends = f"no optimum between {curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm"
         return [ends, f"the best is {best.pitch_um:.2f} µm, the end of the range ({limits}), {value}"]
-    size = "optimal pixel size ", Strong(f"{best.pitch_um:.2f} µm"), f" ({limits})"
-    whole = (*size, f", {value}")
-    return [whole] if has_room([joined([f"{curve.label}: ", whole], "")]) else [size, value]
+    optimum = "optimal pixel size ", Strong(f"{best.pitch_um:.2f} µm"), f" ({limits})"
+    whole = (*optimum, f", {value}")
+    return [whole] if has_room([joined([f"{curve.label}: ", whole], "")]) else [optimum, value]
 
 
 def _optimum_details(curve: Curve) -> list[str]:

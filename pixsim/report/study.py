@@ -83,6 +83,7 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 NO_BUDGETS: Mapping[str, NoiseBudget] = MappingProxyType({})
 ANSWERS_SHOWN = 12  # optima at the top
+ANSWERS_OF_PAGE = 4  # before its figure; a table has all
 LEGEND_HEADROOM = 1.35  # over the highest point, for a legend of three lines
 
 
@@ -411,6 +412,7 @@ def study_page(
     made = [*_about(result), _rendered(result), made_with(pairs("seconds", seconds, 2))]
     return replace(
         brief,
+        answers=tuple(brief.answers)[:ANSWERS_OF_PAGE],
         data=study_data(result) | ({"paper": [asdict(row) for row in rows]} if rows else {}),
         lead=(first, *brief.lead),
         sections=(

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
+from pixsim.sensor.labels import label_of
 from pixsim.show.document import Answer, Block, Document, DocumentTable, Fact, Link, Plot, Section, headline
 from pixsim.show.figures import COLOURS, literal, new_figure
 from pixsim.show.pages import Drawing, figure, figure_files
 from pixsim.show.sentences import capital
 from pixsim.studies.result import StudyResult
-from pixsim.studies.uncertainty import SCATTER, UncertaintyResult, input_labels
+from pixsim.studies.uncertainty import SCATTER, PairUncertainty, Sample, UncertaintyResult, groups_of
 
 PAGE, DATA = "uncertainty.html", "uncertainty.json"
 MOST_BARS = 30  # of a histogram
@@ -114,3 +116,37 @@ def uncertainty_blocks(results: Sequence[UncertaintyResult]) -> tuple[Block, ...
             for statement, probability in result.verdicts.items()
         ]
     return tuple(blocks)
+
+
+def pair_words(drawn: PairUncertainty) -> str:
+    """Return how probably the first of two sensors is better over sensor types, their difference, and what matters most."""
+    first, other = drawn.names
+    better, metric = drawn.probability_a_better, drawn.metric
+    low, middle, high = (f"{value:+.2g}" for value in drawn.difference.quantiles.values())
+    judge = "" if metric.is_delta_e else f"{metric.words}: "
+    unit = " ΔE" if metric.is_delta_e else metric.unit and f" {metric.unit}"
+    return (
+        f"{judge}over {better.draws} sensor types {first} is better than {other} with the probability {better}; difference "
+        f"{middle}{unit} in the median, nine tenths from {low} to {high}; {largest_share_words(drawn)}"
+    )
+
+
+def largest_share_words(drawn: PairUncertainty) -> str:
+    """Return the unknown number with the largest share of the variance of a difference."""
+    shares = {label: drawn.shares[name]["first"] for name, label in input_labels(drawn.sample).items()}
+    shares = {label: share for label, share in shares.items() if not math.isnan(share.share)}
+    if not shares:
+        return "no number explains the difference, which does not vary or has too few sensor types"
+    name = max(shares, key=lambda label: shares[label].share)
+    return f"{name} matters most, with {shares[name]} of the variance"
+
+
+def input_labels(sample: Sample) -> dict[str, str]:
+    """Return the groups' names for readers: a technology by its label, not the path of its file, where that is unique."""
+    labels = {}
+    for name, columns in groups_of(sample.inputs).items():
+        unknown = list(sample.inputs.values())[columns[0]][0]
+        has_technology = unknown.technology and name.startswith(f"{unknown.technology} ")
+        labels[name] = f"{label_of(unknown.technology)}{name.removeprefix(unknown.technology)}" if has_technology else name
+    texts = list(labels.values())
+    return {name: label if texts.count(label) == 1 else name for name, label in labels.items()}

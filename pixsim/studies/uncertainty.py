@@ -26,7 +26,6 @@ from pixsim.base.arrays import Array, stream
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.records import Record
 from pixsim.light.quantities import MIN_FRACTION
-from pixsim.sensor.labels import label_of
 from pixsim.sensor.pixel import ABSORPTION_DEPTH_UM, absorbed_share
 from pixsim.sensor.pixel_options import PixelOptions, excluded_by
 from pixsim.sensor.spread import Spread
@@ -633,17 +632,6 @@ def plain_shares(shares: Mapping[str, Mapping[str, Share]]) -> dict[str, dict[st
     return {name: {kind: share.as_dict() for kind, share in kinds.items()} for name, kinds in shares.items()}
 
 
-def input_labels(sample: Sample) -> dict[str, str]:
-    """Return the groups' names for readers: a technology by its label, not the path of its file, where that is unique."""
-    labels = {}
-    for name, columns in groups_of(sample.inputs).items():
-        unknown = list(sample.inputs.values())[columns[0]][0]
-        has_technology = unknown.technology and name.startswith(f"{unknown.technology} ")
-        labels[name] = f"{label_of(unknown.technology)}{name.removeprefix(unknown.technology)}" if has_technology else name
-    texts = list(labels.values())
-    return {name: label if texts.count(label) == 1 else name for name, label in labels.items()}
-
-
 FEW_EVALUATIONS = 24
 FEW_SENSORS = 2  # at each pitch, so that the scatter of sensors is known
 LEAST_PITCHES = 5  # of a curve that can be fitted
@@ -746,30 +734,6 @@ class PairUncertainty:
     def shares(self) -> dict[str, dict[str, Share]]:
         """Shares of the variance of the difference: input -> `first` -> share, and `total` of points of total indices."""
         return self.sample.shares(self.differences, self.scatter_variances, total=self.total)
-
-    @property
-    def matters(self) -> str:
-        """The unknown number with the largest share of the variance, in words."""
-        shares = {label: self.shares[name]["first"] for name, label in input_labels(self.sample).items()}
-        shares = {label: share for label, share in shares.items() if not math.isnan(share.share)}
-        if not shares:
-            return "no number explains the difference, which does not vary or has too few sensor types"
-        name = max(shares, key=lambda label: shares[label].share)
-        return f"{name} matters most, with {shares[name]} of the variance"
-
-    @property
-    def words(self) -> str:
-        """Probability, quantiles and the unknown that matters most, in words."""
-        first, other = self.names
-        better = self.probability_a_better
-        low, middle, high = (f"{value:+.2g}" for value in self.difference.quantiles.values())
-        judge, unit = (
-            ("", " ΔE") if self.metric.is_delta_e else (f"{self.metric.words}: ", self.metric.unit and f" {self.metric.unit}")
-        )
-        return (
-            f"{judge}over {better.draws} sensor types {first} is better than {other} with the probability {better}; difference "
-            f"{middle}{unit} in the median, nine tenths from {low} to {high}; {self.matters}"
-        )
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result as in compare.json."""

@@ -16,6 +16,7 @@ import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.base.toml import SETTINGS_FILE
 from pixsim.report.compare import _unknown
+from pixsim.report.uncertainty import pair_words
 from pixsim.sensor.readout import Frame
 from pixsim.studies.compare import scatter_variances
 from pixsim.studies.settings import Study
@@ -87,7 +88,7 @@ def test_types_are_judged_by_each_metric(tmp_path: Path) -> None:
         assert found.probability_a_better.probability == np.mean(noise["a"] < noise["b"])
         of_pair = result.as_dict()["uncertainty"]["b"]
         assert of_pair["metrics"][found.metric.name] == found.as_dict()
-        assert found.words.startswith(f"{found.metric.words}: over 8 sensor types a is better than b with the probability ")
+        assert pair_words(found).startswith(f"{found.metric.words}: over 8 sensor types a is better than b with the probability ")
         assert _unknown(found)[0].startswith(f"b \u2212 a, {found.metric.words}")
     pixsim.write_report(result, tmp_path / "out")
 
@@ -115,7 +116,7 @@ def test_sensors_of_one_technology_share_its_numbers(tmp_path: Path) -> None:
     assert all({unknown.technology for unknown in members} == {"a", "b"} for members in found.sample.inputs.values())
     assert np.array_equal(found.differences, np.zeros(8))
     assert found.probability_a_better.probability == 0.5
-    assert "does not vary" in found.words
+    assert "does not vary" in pair_words(found)
 
 
 def test_third_sensor_and_conditions_change_no_type_of_a_pair(tmp_path: Path) -> None:

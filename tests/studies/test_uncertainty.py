@@ -20,7 +20,7 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.layers import Layer
 from pixsim.base.records import checked
 from pixsim.base.toml import packaged
-from pixsim.report.uncertainty import distribution_plate, shares_table, uncertainty_blocks
+from pixsim.report.uncertainty import distribution_plate, input_labels, shares_table, uncertainty_blocks
 from pixsim.sensor.diffusion import absorption_per_um
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
@@ -40,7 +40,6 @@ from pixsim.studies.uncertainty import (
     Unknown,
     few_pitches_um,
     groups_of,
-    input_labels,
     sample_types,
     settings_of,
     sobol_points,
