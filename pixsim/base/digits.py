@@ -86,6 +86,18 @@ def exposure_time(seconds: float, digits: int = 3) -> str:
     return f"{rounded(seconds / size_s, digits)} {unit}"
 
 
+def exposure_times(shortest_s: float, longest_s: float) -> str:
+    """Return a range of times of exposure, with one unit where both have it.
+
+    >>> exposure_times(0.00165, 0.0321), exposure_times(0.1, 2.5), exposure_times(1000.0, 1000.0)
+    ('1.65 to 32.1 ms', '100 ms to 2.5 s', '1000 s')
+    """
+    (first, unit), (last, last_unit) = (exposure_time(seconds).split() for seconds in (shortest_s, longest_s))
+    if unit == last_unit:
+        return span(first, last, unit=f" {unit}")
+    return f"{first} {unit} to {last} {last_unit}"
+
+
 def f_stop(value: float) -> str:
     """Return an f-number to two decimals, three digits at least.
 

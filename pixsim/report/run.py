@@ -579,13 +579,13 @@ def _numbers(result: RunResult) -> Iterator[tuple[str, str]]:
     yield "light", str(LightLevel.of(result.irradiance, result.settings.display, [score.frame.integration_s]))
     yield "irradiance", rendered_words(result.irradiance.header)
     limit = "the full well" if readout.full_well_e <= readout.adc_range_e else "the range of the ADC"
-    yield "brightest pixel", f"its mean is {100 * float(score.frame.mean_e.max()) / readout.saturation_e:.0f} % of {limit}"
+    yield "brightest pixel", f"its mean is {rounded(100 * float(score.frame.mean_e.max()) / readout.saturation_e)} % of {limit}"
 
     statistics = result.statistics[0]
     for name in shown_statistics(result):
         is_filled = name == "fill_factor" and physics.technology.name == NO_TECHNOLOGY and statistics[name] > FILLED
         if name in MEANINGS and not is_filled:  # of a data sheet, which states none
-            yield MEANINGS[name], rounded(statistics[name], 5)
+            yield MEANINGS[name], rounded(statistics[name], 4)
     if result.rendered and result.rendered.noise:
         yield "noise of the render relative to the sensor's noise", f"{result.rendered.noise.fraction:.2g}"
 

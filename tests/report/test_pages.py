@@ -19,7 +19,7 @@ from helpers.sheets import two_sheets
 from helpers.tiny import FINE, tiny
 
 import pixsim
-from pixsim.base.digits import within_error
+from pixsim.base.digits import difference_cells, within_error
 from pixsim.report.curve import optimum_line
 from pixsim.report.lens import FIGURES
 from pixsim.report.run import FILES
@@ -192,7 +192,7 @@ def test_run_page_matches_score_json(ran: Path) -> None:
     page = " ".join(html.unescape(text_of(ran)).split())
     assert f'<b class="words">{coarse_mean(score)}</b>' in page
     for name in ("full_well_e", "integration_s", "saturated_fraction", "mean_electrons_e", "p99_delta_e", "max_delta_e"):
-        assert f"<td>{float(f'{score[name]:.5g}'):.15g}</td>" in page, name  # without an exponent
+        assert f"<td>{float(f'{score[name]:.4g}'):.15g}</td>" in page, name  # without an exponent
     distance_mm = 23 * 25.4 / 96 / np.tan(np.radians(1))  # 23 dots a degree, 96 an inch
     for words in (
         "256 × 256 of 10.6 µm (0.35um) on 2.714 × 2.714 mm",
@@ -416,6 +416,12 @@ def test_compare_prints_answer(compared: tuple[Path, str]) -> None:
     assert lines[-1] == f"report: {folder / 'report.html'}"
 
 
+def difference_cell(difference: float, interval: list[float]) -> str:
+    """Return the cell of a page's table with a difference, as its interval allows."""
+    low, high = interval
+    return f"<td>{difference_cells(difference, (low, high))[0]}</td>"
+
+
 def test_compare_json_is_consistent_and_on_the_page(compared: tuple[Path, str]) -> None:
     folder, out = compared
     found = json.loads((folder / "compare.json").read_text(encoding="utf-8"))
@@ -437,7 +443,7 @@ def test_compare_json_is_consistent_and_on_the_page(compared: tuple[Path, str]) 
     words = " ".join(html.unescape(re.sub(r"<[^>]*>", "", page)).split())
     assert answer in words
     assert [part for part in common.split("; ") if part not in words] == []
-    assert f"<td>{found['difference']['noisy_one']:+.4f}</td>" in page
+    assert difference_cell(found["difference"][b], found["interval_delta_e"][b]) in page
     assert "<td>10000</td>" in page, "the well, without an exponent"
 
 
@@ -452,7 +458,7 @@ def test_compare_of_three_has_a_verdict_and_rows_of_displays_for_each_pair(tmp_p
     for name in ("noisy_one", "worst"):
         assert page.count(f">{name} − quiet</td>") == 2 + 2, "two matches, two further displays"
         for each in found["displays"][name]:
-            assert f"<td>{each['difference']:+.4f}</td>" in page
+            assert difference_cell(each["difference"], each["interval_delta_e"]) in page
 
 
 def test_compare_study_answers_with_the_weighted_mean(under_study: tuple[Path, str]) -> None:
@@ -482,7 +488,7 @@ def test_compare_study_answers_with_the_weighted_mean(under_study: tuple[Path, s
     page = " ".join(text_of(folder).split())
     assert "never, day" not in page, "rows of conditions and of the mean are those of no other condition"
     for each in (found, *own.values()):
-        assert f"<td>{each['difference']['noisy_one']:+.4f}</td>" in page
+        assert difference_cell(each["difference"][b], each["interval_delta_e"][b]) in page
     assert "Pictures in day" in re.sub(r"<[^>]*>", "", page)
     assert "condition night.pixel.temperature_k</th><td>310</td>" in page
     for line in lines[3].split("; "):
