@@ -210,7 +210,7 @@ QUICK = (
 # What depends on the clock, the machine or the version, and what is computed but not a result.
 NOT_NUMBERS = {
     *("seconds", "stage_seconds", "wall_s", "time_s", "cpu_s", "memory_bytes", "estimate", "created", "versions", "machine"),
-    *("stages", "pixsim", "key", "files"),
+    *("stages", "pixsim", "schema", "key", "files"),
 }
 
 
