@@ -155,7 +155,7 @@ def test_range_of_leaves_out_what_has_no_range_and_keeps_what_the_study_has_set_
     def axes(number: str, **process: object) -> tuple[Axis, ...]:
         return with_range_ends(tiny(process={"0.35um": process}, axis=[{"name": "d", "range_of": number, "alone": True}])).axis
 
-    with pytest.warns(UserWarning, match="axis d: no technology of the study has a range"):
+    with pytest.warns(UserWarning, match="axis d is not used: no technology of the study has a range"):
         assert axes("peak_quantum_efficiency") == ()
     low, high = load_technology("0.35um").ranges["dsnu"]
     (axis,) = axes("dsnu", dsnu=low)
