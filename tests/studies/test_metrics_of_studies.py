@@ -213,7 +213,7 @@ def test_study_may_judge_by_another_metric_first(tmp_path: Path) -> None:
     pixsim.write_report(result, tmp_path)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "Noise-equivalent quanta" in page
-    assert "No best size is told by" in page, "an MTF50 tells none"
+    assert list(own.optima) == ["information", "acutance"], "an MTF50 tells none"
     assert rows(tmp_path / "figures" / "neq.csv")[0].keys() == {"sensor", "pitch_um", "frequency_cy_per_mm", "neq_per_mm2"}
     assert (tmp_path / "figures" / "regrets.svg").is_file()
 
@@ -464,7 +464,7 @@ def test_size_at_which_the_first_metric_fails_does_not_end_a_study(
     assert any(re.search(reason, note) for note in study_notes(result))
     assert "NaN" not in json.dumps(result.as_dict())
     written = (tmp_path / "results.csv").read_bytes()
-    assert pixsim.study(asked, tmp_path, jobs=1).as_dict()["notes"] == study_notes(result)
+    assert pixsim.study(asked, tmp_path, jobs=1).as_dict()["notes"] == [note.as_dict() for note in study_notes(result)]
     assert (tmp_path / "results.csv").read_bytes() == written
     assert not list(tmp_path.glob("*.old"))
 
@@ -488,7 +488,8 @@ def test_study_of_conditions_judges_by_any_metric_first(tmp_path: Path) -> None:
     values = [optimum["value"] for optimum in first["optima"]]
     assert 0.9 * np.mean(values[:2]) < values[2] <= np.mean(values[:2]), "no size is better than each condition's own"
     page = axes_page(result, regrets, {}, [])
-    tables = [block for block in page.sections[0].blocks if isinstance(block, DocumentTable)]
+    (section,) = (section for section in page.sections if section.id == "regrets")
+    tables = [block for block in section.blocks if isinstance(block, DocumentTable)]
     assert len(tables) == 2 * len(regrets) == 8, "best sizes and regrets, at two values of the axis, by two metrics"
     names = {"information_by_pitch_and_f.svg", "optimum_by_f.svg", "regrets_1.svg"}
     assert names <= {Path(name).name for name in axes_files(result.study)}
