@@ -105,6 +105,7 @@ def edge() -> Any:
 
 # Valid arguments by name; of some functions, by name and argument.
 GOOD: dict[str, Any] = {
+    "names": ("shot",),
     "message": "x", "path": "a.exr", "name": "0.35um", "wavelength_nm": NM, "band_width_nm": 10.0,
     "pitch_um": 100.0, "data": np.ones((2, 2, 3)), "irradiance": LIGHT, "image": LIGHT, "camera": CAMERA, "pixel": PIXEL,
     "exposure": EXPOSURE, "display": DISPLAY, "sensor": SENSOR, "rng": np.random.default_rng(0), "physics": PHYSICS,

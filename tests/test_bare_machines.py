@@ -128,7 +128,7 @@ def test_without_what_windows_lacks_all_is_imported_and_light_evaluated(tmp_path
     assert float(number) > 0
     assert refused.startswith("files: got a system whose folders cannot be opened (Windows); allowed: Linux or macOS. ")
     assert "WSL" in refused
-    assert "Measure the spatial frequency response" in done.stdout, "--help"
+    assert "Measure the SFR" in done.stdout, "--help"
 
 
 def test_names_that_windows_lacks_are_hidden_from_pixsim_alone() -> None:

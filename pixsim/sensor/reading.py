@@ -160,6 +160,7 @@ class Readout:
         """Return the same reading of a pixel with other numbers, fields of `PixelPhysics`; the ADC stays."""
         return replace(self, physics=replace(self.physics, **numbers))
 
+    @checks_arguments
     def with_silent(self, names: tuple[str, ...]) -> Readout:
         """Return the same reading of a pixel with some noise sources switched off, and no others.
 

@@ -92,7 +92,9 @@ def test_run_separates_stdout_and_stderr(tmp_path: Path) -> None:
     assert code == 0, err
     assert json.loads(plain)["pitch_um"] == 6.5
     assert "warning: " in err
-    assert command(f"{line} --json --quiet") == (0, plain, "")
+    code, out, err = command(f"{line} --json --quiet")
+    assert (code, out) == (0, plain)
+    assert [words for words in err.splitlines() if "warning: " not in words] == [], "quiet: only what makes a number doubtful"
     code, out, err = command(f"-v {line}")
     assert code == 0
     assert re.search(r"^render: \d+\.\d\d s$", err, re.MULTILINE)

@@ -174,7 +174,7 @@ def test_figures_show_values_of_which_all_cases_are_there() -> None:
 
     found = scales(lambda at: at != {"stack": "deep", "f": 4.0})
     assert [scale.values for scale in found] == [("open", "deep"), (2.8, 5.6)]
-    assert [scale.lacking for scale in found] == [0, 1]
+    assert [scale.total - len(scale.values) for scale in found] == [0, 1]
     assert [scale.values for scale in scales(lambda at: at["stack"] == "open")] == [("open",), (2.8, 4.0, 5.6)]
 
 

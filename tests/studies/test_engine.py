@@ -305,7 +305,7 @@ def test_comparison_on_cluster_of_a_client_is_the_same(cluster_here: str) -> Non
     options |= {"pixel": {"pitch_um": 60.0}}
     own = pixsim.compare(["0.35um", "4t-bsi"], jobs=1, **options)
     with Client(cluster_here) as client:
-        assert pixsim.compare(["0.35um", "4t-bsi"], scheduler=client, **options).answers() == own.answers()
+        assert pixsim.compare(["0.35um", "4t-bsi"], scheduler=client, **options).as_dict() == own.as_dict()
         assert client.status == "running", "it stays open"
         assert len(client.scheduler_info()["workers"]) == 2
 

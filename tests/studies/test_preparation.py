@@ -134,7 +134,7 @@ def test_fitted_range_ends_at_the_widest_microlens_and_says_so() -> None:
     for pitch, end in (({}, "13.8"), ({"max_um": 9.0}, "9")):
         study = sheet_study(2.0, **pitch)
         study = study.model_copy(update={"pixel": PixelOptions(**study.pixel.model_dump(exclude_unset=True) | {"stack": lens})})
-        message = rf"largest pixel size of data sheet is 8\.8622 µm in place of {end} µm: .*pixel\.stack\.microlens = 'none'"
+        message = rf"largest pixel size of data sheet is 8\.862 µm in place of {end} µm: .*pixel\.stack\.microlens = 'none'"
         with pytest.warns(UserWarning, match=message):
             fitted = fitted_range(study, pixsim.Camera(die_mm=2.0))
         assert study_pitches_um(fitted, "none").max() == 8.8622
