@@ -26,7 +26,7 @@ from pixsim.report.neq import NEQ, neq_against_frequency
 from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.pictures import crops, picture_axes, size_words
 from pixsim.report.score import score_plate, shown_mean
-from pixsim.report.settings import scene_rows, settings_blocks, settings_tables
+from pixsim.report.settings import UNSTATED, scene_rows, settings_blocks, settings_tables
 from pixsim.report.wording import (
     DELTA_E as DELTA_E_WORDS,
     FILLED,
@@ -151,7 +151,6 @@ def _row(facts: Mapping[str, Any], number: int) -> str:
     return ", ".join(f"{value:.4g}" for value in facts["matrix_to_display"][number])
 
 
-UNSTATED = "Noise and non-uniformities that the data sheet does not state are zero."
 COLOUR = (
     "Both pictures are in colour: black level and dark charge are subtracted, white is balanced, the channels are interpolated to "
     "each pixel, and one matrix, fitted to a ColorChecker under the scene's lamp, leads to the light of the display's primaries. "

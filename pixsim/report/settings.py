@@ -106,6 +106,9 @@ def settings_table(name: str, rows: Iterable[Row]) -> DocumentTable:
     return DocumentTable(name, (), tuple(tuple(map(str, row)) for row in rows), name, words=None, stacks=True)
 
 
+UNSTATED = "Noise and non-uniformities that the data sheet does not state are zero."
+
+
 def settings_blocks(tables: Sequence[DocumentTable]) -> list[Block]:
     """Return the settings of a page: those that differ from the defaults, and folded below them the values of all others.
 

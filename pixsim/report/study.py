@@ -28,7 +28,7 @@ from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.paper import PAPER_PLATES, map_plates, numbered, scene_plates
 from pixsim.report.pictures import size_words
 from pixsim.report.regret import REGRETS, metrics_against_pitch, regrets_plate
-from pixsim.report.settings import record_rows, scene_rows, settings_blocks, settings_table, settings_tables
+from pixsim.report.settings import UNSTATED, record_rows, scene_rows, settings_blocks, settings_table, settings_tables
 from pixsim.report.study_facts import study_facts, study_notes
 from pixsim.report.uncertainty import uncertainty_blocks, uncertainty_document
 from pixsim.report.views import SENSORS_SHOWN, Views, best_place, map_end, study_pictures, study_views
@@ -409,6 +409,7 @@ def study_page(
     first, *curves = map(plot_of, drawings.curves)
     brief, rows = study_document(result), drawings.statements
     numbers = [numbers_table(curve) for curve in result.curves]
+    unstated = [UNSTATED] if all(curve.data_sheet for curve in result.curves) else []
     made = [*_about(result), _rendered(result), made_with(pairs("seconds", seconds, 2))]
     return replace(
         brief,
@@ -422,7 +423,7 @@ def study_page(
             Section("curves", "Further curves", curves),
             budgets_section(budgets),
             Section("limits", "What limits these pixels", [limits_table(result), *map(plot_of, drawings.limits)]),
-            Section("settings", "Settings", settings_blocks(settings(result))),
+            Section("settings", "Settings", [*settings_blocks(settings(result)), *unstated]),
             *_technologies(result),
             Section("numbers", "Numbers", numbers, folded=True),
             Section("maps", "Whole pictures and maps", map(plot_of, drawings.maps), folded=True),

@@ -422,7 +422,7 @@ def test_study_low_black_level_gives_one_note_per_curve(tmp_path: Path) -> None:
     for black, notes in (({}, 2), ({"black_level_dn": 250}, 0)):
         study = tiny(technologies=["0.35um", "4t-bsi"], pitch=pitch, pixel={"bits": 14, **black})
         result = pixsim.study(study, tmp_path / f"{notes}", jobs=1)
-        lines = [note for note in result.notes if "clips dark noise" in note]
+        lines = [note["text"] for note in result.as_dict()["notes"] if "clips dark noise" in note["text"]]
         assert len(lines) == notes
         for line, curve in zip(lines, result.curves, strict=bool(notes)):
             dark = result.dark(curve)

@@ -165,7 +165,7 @@ def test_pages_fit_screens(
         ("run", range(2, 5), ["not converged", "10.6 µm pixels"]),
         # The style is the same.
         pytest.param("compare", range(3, 9), ["quiet is better than noisy_one", "64 × 48"], marks=pytest.mark.slow),
-        pytest.param("study", range(8, 16), [TITLE, "smallest, 5.30 µm", "largest, 15.00 µm"], marks=pytest.mark.slow),
+        pytest.param("study", range(5, 12), [TITLE, "smallest, 5.30 µm", "largest, 15.00 µm"], marks=pytest.mark.slow),
     ],
 )
 def test_page_prints(name: str, pages: range, texts: list[str], folders: dict[str, Path], tmp_path: Path) -> None:
@@ -342,15 +342,13 @@ def test_study_page_states_light_level(studied: tuple[StudyResult, Path], tmp_pa
     times_s = np.concatenate([curve.statistics["integration_s"].ravel() for curve in result.curves])
     assert (times_s == 0.1).all(), "so dim that all frames take the longest that is allowed"
     assert "display white is 100 cd/m² in the scene; exposed for 100 ms." in words_of(folder)
-    table = text_of(folder).partition("<caption>scene</caption>")[2].partition("</table>")[0]
-    cells = [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row) for row in re.findall(r"<tr>.*?</tr>", table)]
+    cells = [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row) for row in re.findall(r"<tr>.*?</tr>", text_of(folder))]
     message = {cell[0]: cell[1:] for cell in cells}
-    assert message["white_cd_per_m2"] == ["100", "scene luminance shown as display white", "the scene"]
+    assert message["scene.white_cd_per_m2"] == ["100", "scene luminance shown as display white"]
     assert [message[name][0] for name in ("file", "film", "integration_s")] == ["csf.xml", "384\u00a0×\u00a0384", "100 ms"]
     brighter = result.study.display.model_copy(update={"white_cd_per_m2": 250.0})
     pixsim.write_report(replace(result, study=result.study.model_copy(update={"display": brighter})), tmp_path)
     assert "display white is 250 cd/m² in the scene" in words_of(tmp_path)
-    assert "display.white_cd_per_m2</td>" in text_of(tmp_path)
 
 
 def test_light_level_exposure_range(studied: tuple[StudyResult, Path]) -> None:
@@ -368,7 +366,7 @@ def test_study_page_of_a_data_sheet_omits_process(studied: tuple[StudyResult, Pa
     more = {"name": "sheet", "technologies": ["none"], "pixel": SHEET, "pitch": {"values_um": [5, 6, 7, 8.5, 11]}}
     pixsim.write_report(pixsim.study(tiny(**more), tmp_path, jobs=1), tmp_path)
     page, words = text_of(tmp_path), words_of(tmp_path)
-    rows = re.findall(r'<tr><th scope="row">(\w+)</th>', page)
+    rows = [name.rpartition(".")[2] for name in re.findall(r'<tr><th scope="row">([\w.]+)</th>', page)]
     assert {"full_well_e", "bits", "white_cd_per_m2"} <= set(rows)
     assert not {"capacitance", "well_limit", "conversion", "response", "fill_factor_law"} & set(rows)
     assert "curve of 3 points, 400 to 700 nm" in words
