@@ -13,7 +13,7 @@ from helpers.documents import ROOT
 
 import pixsim
 
-MIGRATION = (ROOT / "docs/migration.md").read_text(encoding="utf-8")
+MIGRATION = "\n".join((ROOT / name).read_text(encoding="utf-8") for name in ("docs/migration.md", "CHANGELOG.md"))
 ROWS = re.findall(r"^\| `([\w.]+)` \| (?:`([\w.]+)`|none)(.*) \|$", MIGRATION.partition("## Files")[0], re.MULTILINE)
 
 
