@@ -30,14 +30,6 @@ DELTA_E = (
 )
 
 
-def map_words(start: str, mean: float, p99: float, end: float) -> str:
-    """Return the caption of a ΔE map from its mean and 99th percentile; the colour scale ends at `end`."""
-    return (
-        f"{start}{'the' if start else 'The'} mean ΔE is {mean:.3f}, and one dot in a hundred has more than {p99:.3g}."
-        f" The colours go from 0 to {end:g}; larger errors have the last one. Compare maps of the same scale."
-    )
-
-
 def rendered_words(header: Mapping[str, Any]) -> str:
     """Return the scene that light was rendered from, and how; or the file of another program that it was read from."""
     if "scene_hash" not in header:

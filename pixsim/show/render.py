@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
@@ -34,13 +34,12 @@ from pixsim.show.document import (
     joined,
     plain_text,
 )
-from pixsim.show.pages import Figures, Plate, data_uri
+from pixsim.show.pages import Figures, data_uri
 from pixsim.show.sentences import STOPS, capital
 
 if TYPE_CHECKING:
     from jinja2 import Environment
     from markupsafe import Markup
-    from matplotlib.figure import Figure
 
 PAGE = "report.html"
 TEMPLATE, MACROS = "document.html.j2", "macros.html.j2"
@@ -198,13 +197,6 @@ def _captioned(caption: str) -> Markup:
     from markupsafe import Markup
 
     return Markup("<strong>{}</strong> {}").format(*map(_marked, answer_and_rest(caption)))
-
-
-def cell_of(answers: str | Iterable[Answer], figure: Figure, *blocks: Block) -> str:
-    """Return a notebook's cell of answers, or a title, with a figure and further blocks below it."""
-    first = [Answer(answers)] if isinstance(answers, str) else list(answers)
-    plot = Plot(lambda: Plate("", plain_text(first[0].head), figure, {}))
-    return notebook(Document("", "", "", {}, cell=(*first, plot, *(block for block in blocks if block))))
 
 
 def write(document: Document, folder: Path, provenance: dict[str, Any] | None = None, figures: Figures = "svg") -> Path:

@@ -78,8 +78,3 @@ def names_of(metrics: Sequence[NamedOrOwn]) -> tuple[str, ...]:
     metrics : as of `metrics_named`
     """
     return tuple(metric.name for metric in metrics_named(metrics))
-
-
-def metric_known(name: str) -> Metric:
-    """Return a metric by its name."""
-    return metrics_named((name,))[0]
