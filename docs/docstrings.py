@@ -15,7 +15,7 @@ from functools import cache
 from typing import Any, Literal
 
 import pixsim
-from pixsim.base.arguments import without_bounds
+from pixsim.base.bounds import without_bounds
 from pixsim.base.records import Record
 from pixsim.base.units import unit_of
 from pixsim.cli.templates import allowed, toml_value

@@ -48,7 +48,7 @@ def thing_of(name: str) -> Any:
         if not hasattr(thing, part):
             import_module(".".join([first, *rest][:depth]))
         thing = getattr(thing, part)
-    return thing
+    return inspect.unwrap(thing) if inspect.isfunction(thing) else thing  # without the checks of arguments
 
 
 def text_of(name: str, members: str | None) -> str:
@@ -74,7 +74,7 @@ def of_module(name: str, module: ModuleType, members: str | None) -> Iterator[st
 
 
 def is_of_pixsim(name: str, thing: Any) -> bool:
-    return name in pixsim.__all__ and getattr(pixsim, name) is thing
+    return name in pixsim.__all__ and thing_of(f"pixsim.{name}") is thing
 
 
 def described(name: str, thing: Any, level: int) -> Iterator[str]:

@@ -130,9 +130,16 @@ def __getattr__(name: str) -> object:
     from importlib import import_module
 
     if name in _HOME:
-        return getattr(import_module(f"pixsim.{_HOME[name]}"), name)
+        from pixsim.base.door import public
+
+        return public(getattr(import_module(f"pixsim.{_HOME[name]}"), name), f"pixsim.{name}")
     if name in _MODULES:
-        return import_module(f"pixsim.{_MODULES[name]}")
+        module = import_module(f"pixsim.{_MODULES[name]}")
+        if name == _MODULES[name]:  # a package, which hands out checked functions itself
+            return module
+        from pixsim.base.door import public_module
+
+        return globals().setdefault(name, public_module(f"pixsim.{name}", module))
     raise AttributeError(f"module 'pixsim' has no attribute '{name}'")
 
 

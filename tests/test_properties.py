@@ -24,7 +24,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 from pydantic import BaseModel, ValidationError
 
 import pixsim
-from pixsim.base.arguments import SMALLEST
+from pixsim.base.bounds import SMALLEST
 from pixsim.base.errors import PixsimError
 from pixsim.base.problems import explain
 from pixsim.base.records import Record

@@ -18,7 +18,7 @@ from typing import IO, Annotated, Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from pixsim.base.arguments import FINITE, INFINITE_TOO, NOT_NEGATIVE, POSITIVE, Axes, Bounds
+from pixsim.base.bounds import FINITE, INFINITE_TOO, NOT_NEGATIVE, POSITIVE, Axes, Bounds
 from pixsim.base.errors import PixsimError, invalid, one_line
 from pixsim.base.files import check_compression, check_size, opened, reason
 from pixsim.base.lazy import load_when_used

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 
-from pixsim.base.arguments import LARGEST, SMALLEST, brief
+from pixsim.base.bounds import LARGEST, SMALLEST, brief
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.layers import Layer, merge_tables
 from pixsim.base.problems import MAX_VALUE, RECORDS, explain

@@ -8,13 +8,14 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from pixsim.base.arguments import checks_arguments
+from pixsim.base.door import checked_methods
 from pixsim.base.tables import write_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+@checked_methods
 class Result:
     """A result: data with a figure, a table, a page and a cell of a notebook.
 
@@ -28,7 +29,6 @@ class Result:
         figure: Figure = _presenter(self).plot(self)
         return figure
 
-    @checks_arguments
     def write(
         self, folder: str | os.PathLike[str], figures: Literal["svg", "pdf"] = "svg", seconds: Mapping[str, float] | None = None
     ) -> Path:
@@ -48,7 +48,6 @@ class Result:
         """Return the numbers of the result as in summary.json, and as `--json` prints them."""
         return dict(_presenter(self).document(self).data)
 
-    @checks_arguments
     def to_csv(self, path: str | os.PathLike[str] | None = None) -> str:
         """Return the numbers of the result as CSV, and write them to `path` if given.
 

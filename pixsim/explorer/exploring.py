@@ -6,7 +6,6 @@ from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 
-from pixsim.base.arguments import checks_arguments
 from pixsim.base.errors import invalid
 from pixsim.base.records import Record
 from pixsim.explorer.session import Session
@@ -25,7 +24,6 @@ def check_installed() -> None:
         raise invalid("explore", f"no package {', '.join(missing)}", "pip install 'pixsim[explore]'")
 
 
-@checks_arguments
 def explore(
     light: SpectralImage,
     pixel: Pixel,

@@ -11,7 +11,7 @@ from typing import Annotated, Any, cast
 
 from pydantic import BeforeValidator, Field, WithJsonSchema
 
-from pixsim.base.arguments import SMALLEST, brief
+from pixsim.base.bounds import SMALLEST, brief
 from pixsim.base.errors import names_in, quoted
 from pixsim.base.records import as_float
 from pixsim.light.quantities import MIN_FRACTION, Fraction

@@ -15,7 +15,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.arguments import LARGEST, SMALLEST, checks_arguments
+from pixsim.base.bounds import LARGEST, SMALLEST
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import check_compression, check_size, opened, quiet_stdout, replacing
 from pixsim.base.mapped import release
@@ -314,7 +314,6 @@ def reduced_to_fit(image: SpectralImage) -> SpectralImage:
     return image.box_reduced(best) if cut(best) * width / best <= MAX_CUT * height else image
 
 
-@checks_arguments
 def write_exr(path: str | os.PathLike[str], image: SpectralImage, *, factors_only: bool = False) -> None:
     """Write a spectral EXR in the layout of Fichet et al. (JCGT 10(3), 2021); `read_exr` gives the same bits back.
 
@@ -378,7 +377,6 @@ def _merged(image: SpectralImage) -> SpectralImage:
     return SpectralImage(mean, widths, image.pitch_um, factors=(spectra, image.factors[1]))
 
 
-@checks_arguments
 def read_exr(path: str | os.PathLike[str]) -> SpectralImage:
     """Read an image that `write_exr` wrote to `path`.
 

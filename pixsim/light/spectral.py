@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pixsim.base.arguments import Count, Positive, Whole, check_broadcast, checks_arguments
 from pixsim.base.arrays import Array, Positives, Row, strips, values_of
+from pixsim.base.bounds import Count, Positive, Whole, check_broadcast
+from pixsim.base.door import checked_methods
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.mapped import is_mapped, release, update_with_array
 
@@ -44,7 +45,6 @@ LEAST_LM_PER_W = 0.1  # of light whose amount a luminance says; an incandescent 
 LUMINOUS_EFFICACY_LM_PER_W = 683.002  # K_m for standard air, CIE 018:2019
 
 
-@checks_arguments
 def photons_per_joule(wavelength_nm: Positives) -> Array:
     """Return λ/(hc), photons per joule, in the shape (...) of the wavelengths; SI constants of 2019."""
     return np.asarray(wavelength_nm, float) * 1e-9 / (PLANCK_J_S * LIGHT_SPEED_M_PER_S)
@@ -55,14 +55,12 @@ def _photometric_table() -> Array:
     return np.loadtxt(str(resources.files("pixsim") / "data/observer_and_d65.csv"), delimiter=",", skiprows=3)
 
 
-@checks_arguments
 def photopic_efficiency(wavelength_nm: Positives) -> Array:
     """Return ȳ(λ) of the CIE 1931 observer (CIE 018:2019) (...) as the wavelengths: 1 at its peak, 0 outside 360-830 nm."""
     table = _photometric_table()
     return np.interp(np.asarray(wavelength_nm, float), table[:, 0], table[:, 2], left=0.0, right=0.0)
 
 
-@checks_arguments
 def colour_matching(wavelength_nm: Positives) -> Array:
     """Return x̄(λ), ȳ(λ) and z̄(λ) of the CIE 1931 observer (CIE 018:2019), (..., 3) as the wavelengths; 0 outside 360-830 nm.
 
@@ -75,14 +73,12 @@ def colour_matching(wavelength_nm: Positives) -> Array:
     return np.stack([np.interp(nm, table[:, 0], table[:, column], left=0.0, right=0.0) for column in (1, 2, 3)], axis=-1)
 
 
-@checks_arguments
 def d65(wavelength_nm: Positives) -> Array:
     """Return the relative power of CIE D65 (CIE 15:2018) (...) as the wavelengths: 100 at 560 nm, 0 outside 360-830 nm."""
     table = _photometric_table()
     return np.interp(np.asarray(wavelength_nm, float), table[:, 0], table[:, 4], left=0.0, right=0.0)
 
 
-@checks_arguments
 def luminous_weight(wavelength_nm: Positives, band_width_nm: Positives) -> Array:
     """Return the weights (B,) that turn band values per nm into lx (from W m⁻² nm⁻¹) or cd/m² (from W m⁻² sr⁻¹ nm⁻¹).
 
@@ -102,6 +98,7 @@ def bands_last_hint(shape: tuple[int, ...], bands: int) -> str:
     return f"Its bands are axis {axes[0]}: data = np.moveaxis(data, {axes[0]}, 2)" if axes else ""
 
 
+@checked_methods
 class SpectralImage:
     """Spectral irradiance on the sensor plane before diffraction.
 
@@ -127,7 +124,6 @@ class SpectralImage:
     [6.8, 6.8, 6.8]
     """
 
-    @checks_arguments
     def __init__(
         self,
         wavelength_nm: Positives,
@@ -215,7 +211,6 @@ class SpectralImage:
         """Values (H, W, B) float32, W m⁻² nm⁻¹, computed from the factors on first use."""
         return np.stack([self.band(index) for index in range(self.wavelength_nm.size)], axis=2)
 
-    @checks_arguments
     def band(self, index: Whole, rows: slice = WHOLE) -> NDArray[np.float32]:
         """Return band `index`, (H, W) float32 in W m⁻² nm⁻¹, or some of its `rows`.
 
@@ -238,7 +233,6 @@ class SpectralImage:
         """(H, W)."""
         return self.factors[1].shape[1:] if self.factors else self.data.shape[:2]
 
-    @checks_arguments
     def weighted(self, weight: Row) -> Array:
         """Return Σ_b weight_b · E_b at each sample, (H, W) float64, independent of the number of threads.
 
@@ -250,7 +244,6 @@ class SpectralImage:
             total[rows] = self.weighted_part(weight, (rows, WHOLE))
         return total
 
-    @checks_arguments
     def weighted_part(self, weight: Row, part: tuple[slice, slice]) -> Array:
         """Return some rows and columns of `weighted`, bit for bit the same.
 
@@ -272,7 +265,6 @@ class SpectralImage:
             release(picture)
         return total
 
-    @checks_arguments
     def box_reduced(self, columns: Count) -> SpectralImage:
         """Return the image on `columns` samples across, each the mean over its area, of the larger pitch.
 
@@ -301,7 +293,6 @@ class SpectralImage:
         """The pictures, (n, H, W) float32: of the factors, relative to their spectra, or of the bands, W m⁻² nm⁻¹."""
         return self.factors[1] if self.factors else np.moveaxis(self.data, 2, 0)
 
-    @checks_arguments
     def with_planes(
         self,
         planes: NDArray[np.float32],
@@ -334,7 +325,6 @@ class SpectralImage:
             release(picture)
         return (spectra * means[:, None]).sum(axis=0)
 
-    @checks_arguments
     def band_mean(self, response: Callable[[Array], Array]) -> Array:
         """Return the mean of `response`, a function of nm, over each band (B,), weighted by the light within the band.
 

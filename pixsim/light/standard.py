@@ -7,7 +7,6 @@ from importlib import resources
 
 import numpy as np
 
-from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array, Positives
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.light.spectral import d65
@@ -34,7 +33,6 @@ def illuminant_names() -> tuple[str, ...]:
     return tuple(sorted([*_table("illuminants")[0], "D65"]))
 
 
-@checks_arguments
 def illuminant(name: str, wavelength_nm: Positives) -> Array:
     """Return the relative power of a CIE illuminant (CIE 15:2018) (...) as the wavelengths; 0 outside 360-780 nm.
 
@@ -54,7 +52,6 @@ def illuminant(name: str, wavelength_nm: Positives) -> Array:
     return np.interp(np.asarray(wavelength_nm, float), nm[known], power[known], left=0.0, right=0.0)
 
 
-@checks_arguments
 def patch_reflectance(wavelength_nm: Positives) -> Array:
     """Return the reflectance of the 24 patches (ISO 17321-1), 0 to 1, (24, ...) as the wavelengths.
 

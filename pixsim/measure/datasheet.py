@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from pixsim.base.arguments import Positive, Whole, checks_arguments
 from pixsim.base.arrays import Array
+from pixsim.base.bounds import Positive, Whole
 from pixsim.base.caller import setting
 from pixsim.base.digits import rounded
 from pixsim.base.errors import PixsimError, invalid
@@ -237,7 +237,6 @@ class DataSheet(Result):
         return f"<DataSheet of {physics.pitch_um:g} µm pixels: {values}, μ_e.sat {rounded(t.saturation_e.value, 4)} e->"
 
 
-@checks_arguments
 def datasheet(
     file: str | os.PathLike[str] | None = None,
     *,

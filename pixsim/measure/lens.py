@@ -12,8 +12,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.arguments import Positive, checks_arguments
 from pixsim.base.arrays import Array
+from pixsim.base.bounds import Positive
 from pixsim.base.caller import setting
 from pixsim.base.digits import f_stop
 from pixsim.base.errors import invalid
@@ -407,7 +407,6 @@ MAX_WAVELENGTHS = 24  # as in design programs
 MANY_TO_TRACE = 150  # surfaces times wavelengths, which take more than about 5 s
 
 
-@checks_arguments
 def lens(
     file: str | os.PathLike[str],
     *,

@@ -25,9 +25,10 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.signal.windows import tukey
 from scipy.special import chndtrinc, erf, ndtri, stdtrit
 
-from pixsim.base.arguments import LARGEST, SMALLEST, Positive, checks_arguments, checks_fields
 from pixsim.base.arrays import Array
+from pixsim.base.bounds import LARGEST, SMALLEST, Positive
 from pixsim.base.caller import setting
+from pixsim.base.door import checked_methods
 from pixsim.base.errors import PixsimError, excerpt, invalid
 from pixsim.base.notes import Note, collected_notes, warn
 from pixsim.base.records import UnitInterval
@@ -85,7 +86,7 @@ UNIT_CELLS = (2, 4, 6)  # rows and columns of Bayer's, of four pixels a filter, 
 MAX_PARITY, PARITY_SIGMAS = 0.01, 6.0  # differences of the means of a cell's places on a side: of the step, and of their noise
 
 
-@checks_fields
+@checked_methods
 @dataclass(frozen=True)
 class EdgeResponse(Result):
     """The e-SFR of one edge (ISO 12233).
@@ -139,14 +140,12 @@ class EdgeResponse(Result):
         """SFR at the Nyquist frequency of the sensor, half a cycle per pixel: 1 for full contrast."""
         return self.at(NYQUIST_CY_PER_PX)[0]
 
-    @checks_arguments
     def at(self, frequency_cy_per_px: float) -> tuple[float, float, float]:
         """SFR at a frequency, and the bounds of its interval."""
         curves = (self.sfr, *self.sfr_interval)
         sfr, low, high = (float(np.interp(frequency_cy_per_px, self.frequency_cy_per_px, curve)) for curve in curves)
         return sfr, low, high
 
-    @checks_arguments
     def frequency_cy_per_mm(self, pitch_um: Positive) -> Array:
         """(F,) frequencies on the sensor for a given pixel pitch."""
         return self.frequency_cy_per_px * 1e3 / pitch_um
@@ -179,7 +178,6 @@ class WeightedChannel(NamedTuple):
     grids: list[ChannelGrid]
 
 
-@checks_arguments
 def edge_response(
     picture: ArrayLike,
     *,
@@ -1060,7 +1058,6 @@ def read_edge_picture(path: Path, channel: str | None = None) -> EdgePicture:
     return EdgePicture(data, numbers.get("pitch_um"), black_level_dn, top, layout_text, rgb)
 
 
-@checks_arguments
 def sfr(
     image: str | os.PathLike[str],
     *,

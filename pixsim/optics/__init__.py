@@ -36,7 +36,9 @@ def __getattr__(name: str) -> object:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
     from importlib import import_module
 
-    return getattr(import_module(f"pixsim.optics.{_HOME.get(name, 'diffraction')}"), name)
+    from pixsim.base.door import public
+
+    return public(getattr(import_module(f"pixsim.optics.{_HOME.get(name, 'diffraction')}"), name), f"pixsim.optics.{name}")
 
 
 def __dir__() -> list[str]:

@@ -7,8 +7,9 @@ from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from pixsim.base.arguments import Positive, brief, checks_arguments
+from pixsim.base.bounds import Positive, brief
 from pixsim.base.digits import f_stop
+from pixsim.base.door import checked_methods
 from pixsim.base.errors import invalid
 from pixsim.base.problems import Words
 from pixsim.base.records import Record
@@ -32,6 +33,7 @@ PIXELS_OR_FILM = (
 )
 
 
+@checked_methods
 class Camera(Record):
     """A thin lens in air and the die behind it, focused on a plane.
 
@@ -185,7 +187,6 @@ class Camera(Record):
             return None
         return tuple(row[0] for row in rows), tuple(row[-1] for row in rows)
 
-    @checks_arguments
     def lights_like(self, other: Camera) -> bool:
         """Whether both give the same irradiance; its directions, which only pixels with a stack see, may differ."""
         tables = {self.relative_illumination, other.relative_illumination}
@@ -197,7 +198,6 @@ class Camera(Record):
         """The same without veiling glare, which no render and no blur depends on."""
         return self.model_copy(update=dict.fromkeys(OF_VEIL, 0.0)) if self.veiling_glare else self
 
-    @checks_arguments
     def with_light_of(self, chosen: LensOptions) -> Camera:
         """The same with the veil and the fall-off that options of a lens state; what they leave open stays.
 
@@ -256,7 +256,6 @@ class Camera(Record):
         """Half the height of a chart that fills the die, in the plane in focus."""
         return self.height_mm / 2 * self.object_distance_m / self.image_distance_mm
 
-    @checks_arguments
     def window(self, width_mm: DieWidth | None) -> Camera:
         """The same lens on a central part of the die, of `width_mm`; the camera itself for None.
 
@@ -270,7 +269,6 @@ class Camera(Record):
         return self.model_copy(update={"die_mm": width_mm, "die_height_mm": height_mm})
 
     @classmethod
-    @checks_arguments
     def from_lens_geometry(
         cls, fov_deg: FieldOfView, aperture_radius_m: UpToInfinity, focus_distance_m: UpToInfinity, die_mm: DieWidth
     ) -> Camera:
@@ -310,6 +308,7 @@ PixelCount = Annotated[
 OF_DIE = ("die_mm", "die_height_mm", "pixels")  # of `CameraOptions`: what a sensor has of its own, not a lens
 
 
+@checked_methods
 class CameraOptions(Record):
     """Camera fields that replace those of the scene; None keeps the value of the scene."""
 
@@ -324,7 +323,6 @@ class CameraOptions(Record):
     transmittance: Fraction | None = Field(None, description=Camera.model_fields["transmittance"].description)
     chief_ray_angle: ChiefRays | None = Field(None, description=Camera.model_fields["chief_ray_angle"].description)
 
-    @checks_arguments
     def over(self, camera: Camera) -> Camera:
         """The camera with the fields that are set here replaced.
 
@@ -338,7 +336,6 @@ class CameraOptions(Record):
             raise invalid("camera", got, "the lens of that light", "Render the scene with the other lens.")
         return Camera(**camera.model_dump() | self.model_dump(exclude_none=True, exclude={"pixels"}))
 
-    @checks_arguments
     def with_die(self, pitch_um: Positive | None) -> CameraOptions:
         """These options with the die of `pixels` at a pitch (µm). ValueError if a given die differs by more than half a pixel."""
         if self.pixels is None:
@@ -356,7 +353,6 @@ class CameraOptions(Record):
             die_mm[name] = round(of_pixels_mm, DIE_DIGITS) if given_mm is None else given_mm
         return CameraOptions(**self.model_dump() | die_mm)
 
-    @checks_arguments
     def assumption(self, camera: Camera) -> str:
         """Return that nobody gave the focal length behind a given die, with the field that follows; empty if not so.
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pixsim.base.arguments import Count, Positive, checks_arguments
 from pixsim.base.arrays import Array
+from pixsim.base.bounds import Count, Positive
 from pixsim.light.spectral import WHOLE
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import field_angles, traced_lens
@@ -64,7 +64,6 @@ class CameraPupil:
         """NA = sin α on the axis, with tan α = 1/(2 N (1 + |m|))."""
         return numerical_aperture(self.f_number * (1 + abs(self.magnification)))
 
-    @checks_arguments
     def at(self, x_um: ArrayLike, y_um: ArrayLike, rings: int = RINGS, spokes: int = SPOKES) -> Pupil | Directions:
         """Return the pupils at points of the sensor, (...) as x (columns) and y (rows) broadcast, from the axis.
 
@@ -107,7 +106,6 @@ def camera_pupil(camera: Camera) -> CameraPupil:
     return CameraPupil(camera.f_number, 1e3 * camera.image_distance_mm, camera.magnification, camera.chief_ray_angle, real)
 
 
-@checks_arguments
 def camera_factor(
     camera: Camera, shape: tuple[Count, Count], pitch_um: Positive, part: tuple[slice, slice] = (WHOLE, WHOLE)
 ) -> Array:

@@ -11,7 +11,7 @@ from typing import Annotated
 
 from pydantic import BeforeValidator
 
-from pixsim.base.arguments import SMALLEST
+from pixsim.base.bounds import SMALLEST
 from pixsim.base.records import as_float
 from pixsim.light.curves import MAX_FILE_BYTES, rows_schema
 from pixsim.light.tables import PERCENT, as_number, read_cells

@@ -8,7 +8,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pixsim.base.arguments import Count, NotNegative, Positive, check_broadcast, checks_arguments
 from pixsim.base.arrays import (
     Array,
     FiniteArray,
@@ -24,6 +23,7 @@ from pixsim.base.arrays import (
     strips_of,
     values_of,
 )
+from pixsim.base.bounds import Count, NotNegative, Positive, check_broadcast
 from pixsim.base.errors import invalid
 from pixsim.base.mapped import release
 from pixsim.optics.quantities import FNumberOrPinhole
@@ -34,7 +34,6 @@ KEPT_TABLES = 320  # one for each wavelength, 80 MiB in all: more than a plan ha
 KEPT_WHITE = 64  # of sums over the wavelengths, 16 MiB in all
 
 
-@checks_arguments
 def cutoff_cy_per_mm(wavelength_nm: Positives, f_number: FNumberOrPinhole) -> Array:
     """Return the cut-off frequency 1/(λ N_e) = 2 sin α/λ of a diffraction-limited lens, in the shape (...) of the wavelengths.
 
@@ -50,7 +49,6 @@ def cutoff_cy_per_mm(wavelength_nm: Positives, f_number: FNumberOrPinhole) -> Ar
         return NM_PER_MM / (wavelength_nm * f_number)
 
 
-@checks_arguments
 def diffraction_otf(frequency_cy_per_mm: Finites, wavelength_nm: Positives, f_number: FNumberOrPinhole) -> Array:
     """Return the OTF of a circular pupil, (2/π)(acos x - x√(1-x²)) with x = frequency · λ · N, zero beyond x = 1.
 
@@ -80,7 +78,6 @@ def check_bands(wavelength_nm: Array, weight: Array) -> None:
         raise invalid("wavelength_nm and weight", f"{wavelength_nm.size} and {weight.size}", "as many of each")
 
 
-@checks_arguments
 def white_otf(frequency_cy_per_mm: FiniteArray, wavelength_nm: PositiveArray, weight: Row, f_number: FNumberOrPinhole) -> Array:
     """Return Σ weight · `diffraction_otf` over wavelengths, in the shape (...) of the frequencies.
 
@@ -99,7 +96,6 @@ def white_otf(frequency_cy_per_mm: FiniteArray, wavelength_nm: PositiveArray, we
     return otf
 
 
-@checks_arguments
 def diffract_sum(
     pictures: Iterable[tuple[ArrayLike, Array]],
     shape: tuple[Count, Count],
@@ -127,7 +123,6 @@ def diffract_sum(
     return diffract_sums(alone, 1, shape, pitch_um, wavelength_nm, f_number, transfer)[0]
 
 
-@checks_arguments
 def diffract_sums(
     pictures: Iterable[tuple[ArrayLike, Sequence[Array]]],
     channels: int,
@@ -234,7 +229,6 @@ def _filter(
                 totals[channel][rows] += factor
 
 
-@checks_arguments
 def diffract(picture: Picture, pitch_um: Positive, wavelength_nm: PositiveArray, weight: Row, f_number: FNumberOrPinhole) -> Array:
     """Return a picture convolved with the white-light PSF of `diffraction_otf`, (H, W) in its unit; see `diffract_sum`.
 
@@ -252,7 +246,6 @@ def diffract(picture: Picture, pitch_um: Positive, wavelength_nm: PositiveArray,
     return diffract_sum([(picture, share)], picture.shape, pitch_um, wavelength_nm, f_number)
 
 
-@checks_arguments
 def square_aperture_mtf(frequency_cy_per_mm: Finites, side_um: NotNegative) -> Array:
     """Return |sin(πx)/(πx)|, x = frequency · side: the MTF of a square photodiode along one axis, (...) as the frequencies.
 

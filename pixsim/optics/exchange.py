@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.arguments import Positive, checks_arguments
 from pixsim.base.arrays import Array, first_where
+from pixsim.base.bounds import Positive
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import replacing
 from pixsim.base.layers import Layer
@@ -39,7 +39,6 @@ WIDE_BAND_NM = 40.0  # of a band; filters of a camera are about 80 nm wide
 MOST_NEGATIVE = 0.01  # of the brightest band's mean: sums of fitted factors may fall a little below zero where a lamp is dark
 
 
-@checks_arguments
 def read_irradiance(
     path: str | os.PathLike[str], camera: Camera | None = None, *, units: str | None = None, pitch_um: Positive | None = None
 ) -> SpectralImage:
@@ -148,7 +147,6 @@ def _note_bands(path: Path, nm: Array, width_nm: Array) -> None:
         warn(Note("wide_bands", file=path.name, count=nm.size, width_nm=widest_nm, **ends))
 
 
-@checks_arguments
 def write_npz(path: str | os.PathLike[str], image: SpectralImage) -> None:
     """Write an `.npz` file that `read_irradiance` reads back bit for bit; it is moved into place when complete.
 

@@ -24,8 +24,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pixsim.base.arguments import Bounds, Positive, check_broadcast, checks_arguments, checks_fields
 from pixsim.base.arrays import Array, Finites, Positives, in_threads
+from pixsim.base.bounds import Bounds, Positive, check_broadcast
+from pixsim.base.door import checked_methods
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.layers import Layer
 from pixsim.base.notes import Note, warn
@@ -123,7 +124,6 @@ class Wavefront:
     chief_cosine: Array
 
 
-@checks_arguments
 def load_lens(
     file: str | os.PathLike[str],
     configuration: int | None = None,
@@ -346,7 +346,7 @@ def _light_words(fields: Array, own: Array, changed: Array) -> str:
     )
 
 
-@checks_fields
+@checked_methods
 @dataclass(frozen=True)
 class Lens:
     """A lens that can be traced.
@@ -409,7 +409,6 @@ class Lens:
 
     # Paraxial ------------------------------------------------------------------------------------------------------------
 
-    @checks_arguments
     def first_order(self, wavelength_nm: Positive) -> FirstOrder:
         """Return paraxial data at a wavelength. Raises PixsimError if it is outside the range of a glass."""
         surfaces, indices = self.prescription.surfaces, self._indices(np.array([wavelength_nm]))
@@ -679,7 +678,6 @@ class Lens:
                 return f"is totally reflected at surface {number + 1}"
         return "does not reach the stop's centre"
 
-    @checks_arguments
     def chief_ray(self, field_deg: ArrayLike, wavelength_nm: Positives) -> ChiefRay:
         """Return the ray through the centre of the stop: its height in the image plane in mm, and its angle, both (...).
 
@@ -692,7 +690,6 @@ class Lens:
         angle = np.degrees(np.arctan2(rays.m[:, 0], rays.n[:, 0]))
         return ChiefRay(rays.y[:, 0].reshape(shape)[()], angle.reshape(shape)[()])
 
-    @checks_arguments
     def opd_waves(self, field_deg: ArrayLike, wavelength_nm: Positives, stop_x: StopPoints, stop_y: StopPoints) -> Array:
         """Return the optical path difference in waves of its own wavelength, (...); NaN outside the stop.
 
@@ -744,7 +741,6 @@ class Lens:
         where = self._failure(field_deg, wavelength_nm, across, along)
         return where if "surface" in where else "no ray in front of the lens reaches"
 
-    @checks_arguments
     def wavefront(
         self, field_deg: ArrayLike, wavelength_nm: Positives, stop_x: StopPoints, stop_y: StopPoints, aimed: float = AIMED
     ) -> Wavefront:
@@ -791,7 +787,6 @@ class Lens:
             rays, at_x, at_y = self._to_image(field_deg, wavelength_nm, across, along)
         return self._wavefront_of(rays, at_x, at_y, chief, field_deg, wavelength_nm)
 
-    @checks_arguments
     def unaimed_wavefront(self, field_deg: ArrayLike, wavelength_nm: Positives, x_mm: ArrayLike, y_mm: ArrayLike) -> Wavefront:
         """Return rays through points of the paraxial entrance pupil at the primary wavelength, as programs without aiming do.
 
@@ -861,7 +856,6 @@ class Lens:
                 widest = np.maximum(widest, self._width_at_stop(field_deg, rays.x, rays.y))
         return np.where(np.isfinite(rays.n) & np.isfinite(widest), widest, np.inf)
 
-    @checks_arguments
     def outline(self, field_deg: ArrayLike, wavelength_nm: Positives, spokes: int = SPOKES_OF_OUTLINE) -> Outline:
         """Return the outline of the directions that light comes from at the chief rays' image points.
 
@@ -940,7 +934,6 @@ class Lens:
             chosen[thin], least[thin] = finer[np.arange(at.size), at], found[np.arange(at.size), at]
         return np.where(least < 1, chosen, np.nan)
 
-    @checks_arguments
     def projected_solid_angle_sr(self, field_deg: ArrayLike, wavelength_nm: Positives) -> Array:
         """Return irradiance over the scene's radiance at image points, (...), in sr, without losses in the glass.
 
@@ -956,7 +949,6 @@ class Lens:
         area = self._outline(fields, wavelengths, SPOKES_OF_OUTLINE if corners else SMOOTH_SPOKES).area
         return np.asarray(area.reshape(shape)[()])
 
-    @checks_arguments
     def relative_illumination(self, field_deg: ArrayLike, wavelength_nm: Positive | None = None) -> Array:
         """Return irradiance on the image relative to that on the axis, (...), for a scene of uniform radiance.
 
@@ -967,7 +959,6 @@ class Lens:
         wavelength = self.primary_nm if wavelength_nm is None else wavelength_nm
         return np.asarray(self.projected_solid_angle_sr(field_deg, wavelength) / self.projected_solid_angle_sr(0.0, wavelength))
 
-    @checks_arguments
     def directions(
         self, field_deg: ArrayLike, wavelength_nm: Positives, azimuth_deg: Finites, rings: int = 24, spokes: int = 48
     ) -> Directions:
@@ -993,7 +984,6 @@ class Lens:
         chief = outline.chief_cosine[:, None] * np.concatenate([cosine, sine], axis=1)
         return Directions(cosines.reshape(*shape, -1, 2), weight.reshape(*shape, -1), chief.reshape(*shape, 2))
 
-    @checks_arguments
     def ray_points(self, field_deg: float, wavelength_nm: Positive, stop_x: StopPoints, stop_y: StopPoints) -> Array:
         """Return where rays meet the surfaces and the image plane, (P, surfaces + 1, 3), in mm from the first vertex: x, y, z.
 
@@ -1048,7 +1038,6 @@ class Lens:
         """
         return abs(self.paraxial_height_mm) / self.entrance_pupil_diameter_mm
 
-    @checks_arguments
     def distortion(self, field_deg: ArrayLike, wavelength_nm: Positive | None = None) -> Array:
         """Return the chief ray's height over `image_scale_mm` times the field's tangent, minus 1, a ratio (...); 0 on the axis.
 
@@ -1063,7 +1052,6 @@ class Lens:
         ideal = self.image_scale_mm * np.tan(np.radians(angle))
         return np.asarray(np.divide(height, ideal, out=np.ones(np.shape(ideal)), where=ideal != 0) - 1)[()]
 
-    @checks_arguments
     def foci_mm(self, field_deg: ArrayLike, wavelength_nm: Positives) -> tuple[Array, Array]:
         """Return the tangential and the sagittal focus of rays near the chief ray, mm behind the image plane, both (...).
 
@@ -1080,7 +1068,6 @@ class Lens:
         sagittal = -waves.x_mm[:, 2] / slope_x[:, 2]
         return np.asarray(tangential.reshape(shape)[()]), np.asarray(sagittal.reshape(shape)[()])
 
-    @checks_arguments
     def field_of_height(self, height_mm: float, wavelength_nm: Positive) -> float:
         """Return the number of degrees of the field angle whose chief ray has this height in the image plane.
 
@@ -1100,7 +1087,6 @@ class Lens:
         found = _root(lambda at: self._chief_or_nan(at, wavelength)[0].y[:, 0] - height, low, below, high, beyond)
         return math.copysign(float(found[0]), height_mm)
 
-    @checks_arguments
     def image_circle_mm(self, wavelength_nm: Positive) -> float:
         """Return the largest image height that light reaches, in mm, to about 1 % of the field angle."""
         fields, heights = self._imaged(wavelength_nm)
@@ -1119,12 +1105,10 @@ class Lens:
         """Return the index in front of the lens and behind each surface."""
         return [float(np.asarray(index).flat[0]) for index in self._indices(np.array([wavelength_nm]))]
 
-    @checks_arguments
     def fresnel_transmittance(self, wavelength_nm: Positive) -> float:
         """Return the fraction of light on the axis that uncoated surfaces let through, for information."""
         return math.prod(4 * one * other / (one + other) ** 2 for one, other in pairwise(self._plain_indices(wavelength_nm)))
 
-    @checks_arguments
     def ghosts(self, wavelength_nm: Positive, reflectance: Reflectance | None = None) -> list[Ghost]:
         """Return the light on the axis that each pair of surfaces reflects twice, the largest share first.
 
@@ -1140,7 +1124,6 @@ class Lens:
 
     # Changed lenses ------------------------------------------------------------------------------------------------------
 
-    @checks_arguments
     def scaled(self, factor: Positive) -> Lens:
         """Return the lens with every length times `factor`, but the object's distance. Raises PixsimError unless it is above 0.
 
@@ -1154,7 +1137,6 @@ class Lens:
             self, prescription=scaled, entrance_pupil_diameter_mm=factor * self.entrance_pupil_diameter_mm, vignetting=rows
         )
 
-    @checks_arguments
     def stopped_down(self, f_number: FNumberOrPinhole) -> Lens:
         """Return the lens with a smaller stop. Raises PixsimError, which names the widest f-number, for a larger one."""
         first = self.first_order(self.primary_nm)
@@ -1163,7 +1145,6 @@ class Lens:
             raise invalid("f_number", f"{f_number:g}", expected)
         return replace(self, entrance_pupil_diameter_mm=min(first.focal_length_mm / f_number, first.entrance_pupil_diameter_mm))
 
-    @checks_arguments
     def refocused(
         self,
         focus: Literal["paraxial", "axis", "field"] = "axis",

@@ -13,7 +13,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array, Finites, UnitIntervals
 from pixsim.base.errors import invalid
 
@@ -135,7 +134,6 @@ def numerical_aperture(f_number: float) -> float:
     return 1 / math.hypot(1.0, 2 * f_number)
 
 
-@checks_arguments
 def disc_pupil(numerical_aperture: UnitIntervals, chief_ray_deg: Finites = 0.0, azimuth_deg: Finites = 0.0) -> Pupil:
     """Return discs of direction cosines around chief rays, (...) as the arguments broadcast.
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from pixsim.base.arguments import Bounds
+from pixsim.base.bounds import Bounds
 
 FocalLength = Annotated[float, Field(ge=1e-4, le=1e6)]  # 0.1 µm ... 1 km
 FNumber = Annotated[float, Field(ge=1e-6, le=1e6)]  # the lower limit depends on the magnification, up to `LARGEST_MAGNIFICATION`

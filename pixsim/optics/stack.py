@@ -30,8 +30,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import sici
 
-from pixsim.base.arguments import NotNegative, Positive, checks_arguments
 from pixsim.base.arrays import Array, Finites, Positives
+from pixsim.base.bounds import NotNegative, Positive
 from pixsim.base.errors import invalid
 from pixsim.optics.pupil import Directions, Pupil, disc_pupil, numerical_aperture
 from pixsim.optics.quantities import FNumberOrPinhole
@@ -132,7 +132,6 @@ class Stack:
         return np.asarray(self.height_um * self.tangents(rays.cosines) - self.shifts_um(rays.chief_cosines)[..., None, :])
 
 
-@checks_arguments
 def stack_collection(
     pitch_um: Positive,
     photodiode_side_um: Positive,
@@ -172,7 +171,6 @@ def stack_collection(
     return collected_shares(stack, pupil)[1:-1, 1:-1]
 
 
-@checks_arguments
 def collected_shares(stack: Stack, pupil: Pupil | Directions, wavelength_nm: Positives | None = None) -> Array:
     """Return the shares of the light on a pixel that photodiodes of 5 × 5 pixels collect, (..., 5, 5) [dy + 2, dx + 2].
 
@@ -191,7 +189,6 @@ def collected_shares(stack: Stack, pupil: Pupil | Directions, wavelength_nm: Pos
     return _diffracted_shares(stack, pupil, np.ravel(np.asarray(wavelength_nm, float)))
 
 
-@checks_arguments
 def aperture_mtf(
     stack: Stack, pupil: Pupil | Directions, frequency_x_cy_per_mm: Finites, frequency_y_cy_per_mm: Finites = 0.0
 ) -> Array:
@@ -218,7 +215,6 @@ def aperture_mtf(
     return np.abs(np.stack(otf, axis=-1))
 
 
-@checks_arguments
 def aperture_side_um(stack: Stack, pupil: Pupil | Directions) -> Array:
     """Return the sides (x, y) of the box whose MTF falls as that of `aperture_mtf` at low frequencies, (..., 2).
 
@@ -251,7 +247,6 @@ def _overlaps(stack: Stack, pupil: Pupil | Directions) -> tuple[Array, Array, Ar
     return side, -landing / 2, weight / collected
 
 
-@checks_arguments
 def model_limits(stack: Stack, pupil: Pupil | Directions, wavelength_nm: Positives) -> list[str]:
     """Return a sentence for each limit of the model that a stack exceeds, with the number and what changes it.
 

@@ -8,8 +8,8 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pixsim.base.arguments import Bounds, Count, Positive, brief, check_broadcast, checks_arguments
 from pixsim.base.arrays import Array, Finites, Numbers, strips
+from pixsim.base.bounds import Bounds, Count, Positive, brief, check_broadcast
 from pixsim.base.errors import invalid
 from pixsim.light.spectral import WHOLE
 from pixsim.optics.pupil import Pupil
@@ -18,7 +18,6 @@ from pixsim.optics.quantities import FNumberOrPinhole
 FNumbers = Annotated[ArrayLike, Bounds(0, open_low=True, infinite=True)]  # infinite for a pinhole
 
 
-@checks_arguments
 def irradiance_factor(f_number: FNumbers, tan_field: Numbers, magnification: Finites = 0.0) -> Array:
     """Return the irradiance on the sensor over the radiance of the scene, E/L in sr, for a thin lens.
 
@@ -74,7 +73,6 @@ def dense_fall_off(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ..
     return tuple(dense.tolist()), tuple(PchipInterpolator(height_mm**2, relative)(dense**2).tolist())
 
 
-@checks_arguments
 def field_factor(
     shape: tuple[Count, Count],
     pitch_um: Positive,
@@ -100,7 +98,6 @@ def field_factor(
     return factor
 
 
-@checks_arguments
 def thin_lens_pupil(
     f_number: FNumberOrPinhole, tan_field: Numbers, azimuth_deg: Finites = 0.0, magnification: float = 0.0
 ) -> Pupil:

@@ -5,12 +5,10 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from pixsim.base.arguments import checks_arguments
 from pixsim.base.result import Result
 from pixsim.show.pages import Figures
 
 
-@checks_arguments
 def write_report(
     result: Result, folder: str | os.PathLike[str], seconds: dict[str, float] | None = None, figures: Figures = "svg"
 ) -> Path:

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pixsim.base import cache
-from pixsim.base.arguments import Axes, Bounds, brief, checks_arguments
 from pixsim.base.arrays import Array, UnitIntervals
+from pixsim.base.bounds import Axes, Bounds, brief
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.locks import temporary_folder_of_process
 from pixsim.base.records import UnitInterval, content_hash
@@ -46,7 +46,6 @@ TARGET_UM = 77.5  # 20 mm at 1 m, through the lens of the packaged scenes
 POINTS_PER_TEXEL = 8  # along each side, for the area coverage
 
 
-@checks_arguments
 def csf_frequency_lp_per_mm(x: UnitIntervals, highest_lp_per_mm: HighestFrequency = MAX_FREQUENCY_LP_PER_MM) -> Array:
     """Return the local frequency (...) at x in [0, 1] across the die: exponential, from 1 to 33.3 lp/mm (Chen et al. 2000).
 
@@ -58,7 +57,6 @@ def csf_frequency_lp_per_mm(x: UnitIntervals, highest_lp_per_mm: HighestFrequenc
     return MIN_FREQUENCY_LP_PER_MM * (highest_lp_per_mm / MIN_FREQUENCY_LP_PER_MM) ** np.asarray(x)
 
 
-@checks_arguments
 def csf_frequency_on_sensor(header: Mapping[str, Any], width_mm: DieWidth) -> Callable[[ArrayLike], Array] | None:
     """Return the frequency in lp/mm, (...) as x in [0, 1] across a picture of the CSF chart, as a function; None for another scene.
 
@@ -77,7 +75,6 @@ def csf_frequency_on_sensor(header: Mapping[str, Any], width_mm: DieWidth) -> Ca
     return lambda x: scale * csf_frequency_lp_per_mm(x, highest)
 
 
-@checks_arguments
 def csf_contrast(y: UnitIntervals) -> Array:
     """Return the Michelson contrast (...) at y in [0, 1], 0 at the top: exponential from 1 % of the largest to the largest, 0.951.
 
@@ -87,7 +84,6 @@ def csf_contrast(y: UnitIntervals) -> Array:
     return (high - low) / (high + low) * MIN_CONTRAST ** (1 - np.asarray(y, float))
 
 
-@checks_arguments
 def csf_value(
     x: UnitIntervals, y: UnitIntervals, die_mm: DieWidth = DIE_MM, highest_lp_per_mm: HighestFrequency = MAX_FREQUENCY_LP_PER_MM
 ) -> Array:
@@ -105,7 +101,6 @@ def csf_value(
     return (low + high) / (2 * high) * (1 + csf_contrast(y) * np.sin(2 * np.pi * cycles))
 
 
-@checks_arguments
 def csf(
     width: Side = 8192, height: Side = 256, die_mm: DieWidth = DIE_MM, highest_lp_per_mm: HighestFrequency = MAX_FREQUENCY_LP_PER_MM
 ) -> NDArray[np.float32]:
@@ -127,7 +122,6 @@ def _antialiased(inside: Callable[[Array, Array], Array], width: int, height: in
     return (dark + (1 - dark) * cover).astype(np.float32)
 
 
-@checks_arguments
 def slanted_edge(width: Side = 1024, height: Side = 1024, dark: UnitInterval = 0.1) -> NDArray[np.float32]:
     """Return an edge 5° from the vertical through the centre (ISO 12233), (height, width): 1 on the right, `dark` on the left."""
     factor, slope = POINTS_PER_TEXEL, np.tan(np.radians(SLANT_DEG))
@@ -142,7 +136,6 @@ def slanted_edge(width: Side = 1024, height: Side = 1024, dark: UnitInterval = 0
     return (dark + (1 - dark) * cover).astype(np.float32)
 
 
-@checks_arguments
 def siemens_star(width: Side = 1024, height: Side = 1024, dark: UnitInterval = 0.025) -> NDArray[np.float32]:
     """Return a sector star of 72 cycles in a disc of 90 % of the die, (height, width), with values 1 and `dark`."""
 
@@ -153,13 +146,11 @@ def siemens_star(width: Side = 1024, height: Side = 1024, dark: UnitInterval = 0
     return _antialiased(inside, width, height, dark)
 
 
-@checks_arguments
 def flat(width: Side = 4, height: Side = 4) -> NDArray[np.float32]:
     """Return a uniform field of relative luminance 1, (height, width)."""
     return np.ones((height, width), np.float32)
 
 
-@checks_arguments
 def target(width: Side = 1024, height: Side = 1024, die_mm: DieWidth = DIE_MM, **fields: object) -> NDArray[np.float32]:
     """Return a target on an even field of relative luminance 1, (height, width): the exact share of each texel that it covers.
 
@@ -180,7 +171,6 @@ CHARTS: dict[str, Callable[..., NDArray[np.float32]]] = {
 OF_A_DIE = (csf.__name__, target.__name__)
 
 
-@checks_arguments
 def make_chart(
     kind: str, width: Side | None = None, height: Side | None = None, die_mm: DieWidth | None = None, **target: object
 ) -> NDArray[np.float32]:
@@ -208,7 +198,6 @@ def make_chart(
     return CHARTS[kind](**size, **({} if die_mm is None else {"die_mm": die_mm}), **target)
 
 
-@checks_arguments
 def write_chart(path: str | os.PathLike[str], texels: Texels) -> None:
     """Write a texture for Mitsuba's bitmap with `raw` true: one linear float32 channel Y, row 0 at the top.
 
@@ -223,7 +212,6 @@ def write_chart(path: str | os.PathLike[str], texels: Texels) -> None:
         fill_channels(unfinished, {"Y": texels}, {})
 
 
-@checks_arguments
 def texture_file(content: object, make: Callable[[], NDArray[np.float32]]) -> Path:
     """Return the file of a texture that pixsim makes, in the cache; it is written if it is missing.
 
@@ -255,7 +243,6 @@ def texture_file(content: object, make: Callable[[], NDArray[np.float32]]) -> Pa
     return path
 
 
-@checks_arguments
 def csf_file(highest_lp_per_mm: HighestFrequency, die_mm: DieWidth) -> Path:
     """Return the file of the CSF chart that fills a die and ends at a frequency; it begins at 2.7 cycles across the die.
 

@@ -22,7 +22,6 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.base.files import files_are_finished, replacing, resolved
@@ -146,7 +145,6 @@ def primaries_xyz() -> Array:
     return xyz / xyz[1].sum()
 
 
-@checks_arguments
 def modulation(change_xyz: ArrayLike) -> Modulation:
     """Return the modulation of the primaries along a change of XYZ (3,), in any unit, whose sign counts.
 
@@ -160,13 +158,11 @@ def modulation(change_xyz: ArrayLike) -> Modulation:
     return Modulation(shares, primaries_xyz() @ shares)
 
 
-@checks_arguments
 def slide(share: float, grey: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the slide of a primary, (H, W), whose contrast is `share`, -1 to 1, times that of the grey chart (H, W)."""
     return (MEAN + share * (grey.astype(float) - MEAN)).astype(np.float32)
 
 
-@checks_arguments
 def write_colour_chart(
     path: str | os.PathLike[str],
     change: Modulation,

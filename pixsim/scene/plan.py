@@ -10,9 +10,10 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.arguments import Count, Positive, checks_arguments, checks_fields
 from pixsim.base.arrays import Array
+from pixsim.base.bounds import Count, Positive
 from pixsim.base.caller import parameter, setting
+from pixsim.base.door import checked_methods
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import Note
 from pixsim.light.quantities import FilmSamples
@@ -119,7 +120,7 @@ class WhitePlate(NamedTuple):
         return {"type": "perspective", "fov": fov_deg, "near_clip": white_plate.NEAR_CLIP * self.distance_m}
 
 
-@checks_fields
+@checked_methods
 @dataclass(frozen=True)
 class Plan:
     """What will be rendered, and why.
@@ -186,12 +187,10 @@ class Plan:
     of_chart: bool = False
     in_focus_m: tuple[AnyDistance, AnyDistance] | None = None
 
-    @checks_arguments
     def camera_of(self, camera: Camera) -> Camera:
         """Return the camera of the render: without its real lens where the plan leaves that out."""
         return without_lens(camera) if self.tiling is None else camera
 
-    @checks_arguments
     def margin(self, shape: tuple[Count, Count], pitch_um: Pitch) -> int:
         """Return the cells at each side of a film that are rendered beyond it, as far as the blur of a real lens reaches.
 
@@ -264,7 +263,6 @@ class Plan:
         """Name of the light of the scene's white."""
         return WHITE_OF_PLATE if self.plate else white_words(bool(self.white), self.white_lamps)
 
-    @checks_arguments
     def white_header(self, edges_nm: Array) -> dict[str, Any]:
         """Return the entries of an irradiance's header on the light of the scene's white, in bands between edges (B + 1,).
 
@@ -638,7 +636,6 @@ def _rank_reason(lamps: list[Lamp], surfaces: Surfaces, met: Array, counts: list
 UNIFORM_RESOLUTION = 64  # the lens's fall-off is then right to 3e-5 of the mean electrons at 20° off axis
 
 
-@checks_arguments
 def make_plan(
     scene: Scene,
     camera: Camera | None = None,

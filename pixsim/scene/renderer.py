@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base import cache, mapped
-from pixsim.base.arguments import Whole, checks_arguments
 from pixsim.base.arrays import Array, strips
+from pixsim.base.bounds import Whole
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import digest_of
 from pixsim.base.mapped import release, zeros
@@ -150,7 +150,6 @@ class Work(NamedTuple):
     parts: list[FilmRows]
 
 
-@checks_arguments
 def render(
     scene: Scene,
     camera: Camera | None = None,

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from pixsim.base import caller
-from pixsim.base.arguments import LARGEST, SMALLEST, brief, checks_arguments, checks_fields
+from pixsim.base.bounds import LARGEST, SMALLEST, brief
+from pixsim.base.door import checked_methods
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.files import digest_of, missing
 from pixsim.base.problems import names_meant
@@ -46,7 +47,7 @@ WHITE = "white_cd_per_m2"  # a <default> that only pixsim reads: the luminance t
 FILM_35_MM = (36.0, 24.0)  # the format of Mitsuba's `focal_length`
 
 
-@checks_fields
+@checked_methods
 @dataclass(frozen=True)
 class Scene:
     """A Mitsuba scene: its file, its parameters, and the variant that renders it.
@@ -87,7 +88,6 @@ class Scene:
     plate: tuple[float, ...] | None = None
     _texts: dict[str, SceneText] = field(default_factory=dict, repr=False, compare=False)
 
-    @checks_arguments
     def text(self, **more: object) -> SceneText:
         """Return the inspected text of the scene, with `more` parameters unless the user set them."""
         given = {**{k: str(v) for k, v in more.items()}, **self.parameters}
@@ -102,12 +102,10 @@ class Scene:
             self._texts[key] = open_scene(self.path, given, strength=self.strength, plate=self.plate)
         return self._texts[key]
 
-    @checks_arguments
     def parse(self, **more: object) -> Tree:
         """Return the parsed tree of the inspected text, with `more` parameters unless the user set them."""
         return parse_tree(self.text(**more).text, self.choice.reading)
 
-    @checks_arguments
     def camera(self, options: CameraOptions | None = None, lens: LensOptions | None = None) -> Camera:
         """Return the camera of the file, overridden by the options, with a real lens if `lens` names one.
 
@@ -131,12 +129,10 @@ class Scene:
             options = options.model_copy(update={"die_height_mm": height_mm})
         return camera_with_lens(options.over(own), options, lens or LensOptions())
 
-    @checks_arguments
     def for_camera(self, camera: Camera) -> Tree:
         """Return the parsed tree with the scene's lens and chart parameters set for a camera."""
         return parse_tree(self.text_for_camera(camera).text, self.choice.reading)
 
-    @checks_arguments
     def text_for_camera(self, camera: Camera) -> SceneText:
         """Return the inspected text with the scene's lens and chart parameters set for a camera."""
         lens = dict(zip(LENS_PARAMETERS, (camera.fov_deg, camera.aperture_radius_m, camera.object_distance_m), strict=True))
@@ -182,7 +178,6 @@ class Scene:
             raise invalid("target", f"the chart of '{self.path.name}', which is another", f"a scene whose chart is {TARGET_FILE}")
         return Target.of_parameters(self.parameters, self.text().defaults)
 
-    @checks_arguments
     def film_shape(self, camera: Camera, state: Tree) -> tuple[int, int]:
         """Return (height, width) of the film in samples; the renderer checks their range.
 
@@ -202,12 +197,10 @@ class Scene:
         across = width if self.resolution is None else self.resolution
         return max(1, math.ceil(across * ratio - FILM_ROUNDING)), across
 
-    @checks_arguments
     def with_resolution(self, resolution: FilmSamples) -> Scene:
         """Return the scene on a film of `resolution` samples across."""
         return replace(self, resolution=resolution)
 
-    @checks_arguments
     def with_parameters(self, **more: object) -> Scene:
         """Return the scene with other values of some parameters, `more`."""
         return replace(self, parameters={**self.parameters, **{name: str(value) for name, value in more.items()}})
@@ -272,7 +265,6 @@ def scene_path(scene: str | os.PathLike[str]) -> Path:
     return path
 
 
-@checks_arguments
 def load_scene(
     scene: str | os.PathLike[str], *, variant: str | None = None, sensor: str | None = None, **parameters: object
 ) -> Scene:

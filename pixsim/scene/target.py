@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from pixsim.base.arguments import Positive, checks_arguments
 from pixsim.base.arrays import Array
+from pixsim.base.bounds import Positive
 from pixsim.base.errors import invalid
 from pixsim.base.records import Record
 from pixsim.optics.camera import Camera
@@ -64,14 +64,12 @@ class Target(Record):
         known = {name: value for name, value in defaults.items() if name not in unused} | {**given}
         return cls(**{name: known[name] for name in cls.model_fields if name in known})
 
-    @checks_arguments
     def size_in_scene_mm(self, camera: Camera) -> float:
         """Return the size in the plane in focus of a camera; 0 for an edge."""
         if self.size_um is not None:
             return self.size_um / (1e3 * camera.magnification)
         return self.size_mm or (self.size_mrad or 0.0) * camera.object_distance_m
 
-    @checks_arguments
     def texels(self, shape: tuple[int, int], sides_mm: tuple[Positive, Positive], size_mm: float) -> NDArray[np.float32]:
         """Return the relative luminance of a field, (H, W), row 0 at the top: 1, and 1 + contrast where the target is.
 

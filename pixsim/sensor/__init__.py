@@ -39,9 +39,10 @@ def __getattr__(name: str) -> object:
     """Import what needs NumPy on first use: settings, and with them `--help`, do not."""
     if name not in __all__:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    from pixsim.base.door import public
     from pixsim.sensor import readout
 
-    return getattr(readout, name)
+    return public(getattr(readout, name), f"pixsim.sensor.{name}")
 
 
 def __dir__() -> list[str]:

@@ -17,7 +17,6 @@ from pathlib import Path
 
 import numpy as np
 
-from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.sensor.diffusion import absorption_per_um
@@ -136,7 +135,6 @@ def cameras() -> tuple[CameraEntry, ...]:
     return tuple(entries)
 
 
-@checks_arguments
 def camera_channels(name: str) -> str:
     """Return the letters of the channels of a packaged camera. Raises PixsimError for a name that is none."""
     return "".join(TYPICAL[name].bands) if name in TYPICAL else "RGB" if _file(name) else ""
@@ -147,7 +145,6 @@ def camera_names() -> tuple[str, ...]:
     return tuple(sorted(_index(), key=str.lower))
 
 
-@checks_arguments
 def camera_sensitivities(name: str) -> tuple[Array, Array]:
     """Return the wavelengths in nm, (B,), and the relative responses to energy of R, G and B, (B, 3), of a packaged camera.
 
@@ -165,7 +162,6 @@ def camera_sensitivities(name: str) -> tuple[Array, Array]:
     return table[:, 0], table[:, 1:]
 
 
-@checks_arguments
 def has_common_scale(name: str) -> bool:
     """Return whether the channels of a packaged camera have one scale.
 

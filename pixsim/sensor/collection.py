@@ -19,8 +19,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 
-from pixsim.base.arguments import Count, checks_arguments
 from pixsim.base.arrays import Array, PositiveArray
+from pixsim.base.bounds import Count
 from pixsim.base.errors import invalid
 from pixsim.base.notes import Note
 from pixsim.optics.camera import Camera
@@ -57,7 +57,6 @@ class Illumination:
     pupil: CameraPupil
     spare_e: float = 0.0
 
-    @checks_arguments
     def nodes(self, count: Count) -> tuple[Array, Array]:
         """Return wavelengths, (count,) or fewer, and the weights with which the spectrum has a polynomial through them; sum 1."""
         nm, weight = np.array(self.wavelength_nm), np.array(self.weight)
@@ -244,7 +243,6 @@ def _seen_nm(physics: PixelPhysics, wavelength_nm: Array) -> Array:
     return nm if nm.size else wavelength_nm
 
 
-@checks_arguments
 def stack_notes(physics: PixelPhysics, camera: Camera, wavelength_nm: PositiveArray) -> list[Note]:
     """Return a note for each limit of the stack's model that the light of a camera exceeds (`pixsim.optics.stack.model_limits`).
 

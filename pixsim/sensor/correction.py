@@ -12,8 +12,8 @@ import numpy as np
 import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
 
-from pixsim.base.arguments import NotNegative, checks_arguments
 from pixsim.base.arrays import Array, NotNegativeArray
+from pixsim.base.bounds import NotNegative
 from pixsim.base.errors import invalid
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.correction_options import Correction
@@ -27,7 +27,6 @@ ROUNDING = 1e-9  # of a mean of numbers from 0 to 1
 LEAST_RESPONSE = 0.05  # of the mean; a pixel below it has no gain to correct
 
 
-@checks_arguments
 def correct(
     frame: Frame,
     sensor: Sensor,
@@ -125,7 +124,6 @@ def _dark_rows(sensor: Sensor, count: int, rng: np.random.Generator) -> Sensor |
     return replace(rows, column_offset_e=sensor.column_offset_e)
 
 
-@checks_arguments
 def flat_light_e(readout: Readout, correction: Correction, integration_s: NotNegative) -> float:
     """Return the photo-electrons of the flat frames: `flat_level` of saturation, less the dark charge.
 
@@ -189,7 +187,6 @@ class Residual:
         return self.temporal + self.offsets + self.flat + self.gain
 
 
-@checks_arguments
 def residual_variance_e2(
     signal_e: NotNegativeArray | NotNegative, integration_s: NotNegative, readout: Readout, correction: Correction
 ) -> Residual:

@@ -8,14 +8,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array, NotNegativePicture, strips
 from pixsim.base.errors import invalid
 
 NEGLIGIBLE = 1e-12  # of the light on a pixel: shares below are left out
 
 
-@checks_arguments
 def share_with_neighbours(signal_e_per_s: NotNegativePicture, shares: Array) -> Array:
     """Return what each pixel collects, (rows, columns), of the light on it and on the pixels around.
 
@@ -35,7 +33,6 @@ def share_with_neighbours(signal_e_per_s: NotNegativePicture, shares: Array) -> 
     return _collected(signal_e_per_s, [nodes], np.zeros(signal_e_per_s.shape, np.intp), "symmetric")
 
 
-@checks_arguments
 def share_with_neighbours_of_channels(
     signal_e_per_s: NotNegativePicture, shares: Sequence[Array], channels: NDArray[np.intp]
 ) -> Array:

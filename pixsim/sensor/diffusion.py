@@ -18,8 +18,8 @@ from importlib import resources
 import numpy as np
 from scipy.special import erf, erfcx
 
-from pixsim.base.arguments import NotNegative, Positive, checks_arguments
 from pixsim.base.arrays import Array, Finites, Positives
+from pixsim.base.bounds import NotNegative, Positive
 from pixsim.base.errors import invalid
 from pixsim.sensor.quantities import Pitch
 
@@ -38,7 +38,6 @@ def _absorption_table() -> Array:
     return np.loadtxt(str(resources.files("pixsim") / "data/silicon_absorption.csv"), delimiter=",", skiprows=4)
 
 
-@checks_arguments
 def absorption_per_um(wavelength_nm: Positives, temperature_k: Positive = SILICON_K) -> Array:
     """Return the absorption coefficient α of silicon in 1/µm, (...) as the wavelengths: α(300 K) (T/300 K)^b.
 
@@ -63,7 +62,6 @@ def absorption_per_um(wavelength_nm: Positives, temperature_k: Positive = SILICO
     return np.asarray(at_300_k * (temperature_k / SILICON_K) ** exponent)
 
 
-@checks_arguments
 def diffusion_mtf(
     frequency_cy_per_mm: Finites, absorption_per_um: Positives, depletion_um: NotNegative, diffusion_length_um: Positive
 ) -> Array:
@@ -93,7 +91,6 @@ def _collected(alpha: Array, depletion_um: float, length_um: Array | float) -> A
     return np.asarray(fixed + (1 - fixed) * walked)
 
 
-@checks_arguments
 def diffused_shares(
     pitch_um: Pitch, side_um: NotNegative, absorption_per_um: Positives, depletion_um: NotNegative, diffusion_length_um: Positive
 ) -> Array:

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pixsim.base.arguments import NotNegative, Positive, checks_arguments
 from pixsim.base.arrays import Array
+from pixsim.base.bounds import NotNegative, Positive
 from pixsim.base.errors import invalid
 
 ELECTRON_C = 1.602176634e-19  # SI 2019, exact
@@ -20,7 +20,6 @@ A_PER_CM2_TO_E_PER_S_UM2 = 1e-8 / ELECTRON_C  # 1 cm² = 1e8 µm²
 UM_PER_CM = 1e4
 
 
-@checks_arguments
 def prnu_of_area(prnu_um: NotNegative, area_um2: Positive) -> float:
     """Return the PRNU of photodiodes, k/√area, relative to the mean gain.
 
@@ -34,7 +33,6 @@ def prnu_of_area(prnu_um: NotNegative, area_um2: Positive) -> float:
     return prnu_um / math.sqrt(area_um2)
 
 
-@checks_arguments
 def follower_offset_e(threshold_mv_um: NotNegative, follower_area_um2: Positive, node_capacitance_ff: Positive) -> float:
     """Return the spread of offsets that source followers cause, σ(V_t) C/q in electrons with σ(V_t) = A_Vt/√(W L).
 
@@ -51,7 +49,6 @@ def follower_offset_e(threshold_mv_um: NotNegative, follower_area_um2: Positive,
     return 1e-3 * threshold_mv_um / math.sqrt(follower_area_um2) * node_capacitance_ff * E_PER_FC
 
 
-@checks_arguments
 def dark_current_of_geometry_e_per_s(
     area_na_per_cm2: NotNegative, perimeter_na_per_cm: NotNegative, area_um2: Positive, perimeter_um: NotNegative
 ) -> float:

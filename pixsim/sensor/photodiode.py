@@ -30,8 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from pixsim.base.arguments import check_broadcast, checks_arguments
 from pixsim.base.arrays import Array, NotNegativeArray, NotNegatives
+from pixsim.base.bounds import check_broadcast
 from pixsim.base.errors import invalid
 from pixsim.sensor.mismatch import E_PER_FC
 from pixsim.sensor.pixel import Diode, PixelPhysics, derive
@@ -49,7 +49,6 @@ NEWTON_STEPS = 30  # at most; 3 to 5 are needed, since the slope is a capacitanc
 BLOCK = 2048  # photocurrents at a time: 20 MB
 
 
-@checks_arguments
 def diode_of(pixel: Pixel | PixelPhysics) -> Diode:
     """Return the photodiode of a 3T pixel, with its sense node.
 
@@ -67,7 +66,6 @@ def default_diode() -> Diode:
     return diode_of(Pixel())
 
 
-@checks_arguments
 def collected_charge_e(photocurrent_e_per_s: NotNegatives, integration_s: NotNegatives, diode: Diode | None = None) -> Array:
     """Return the charge that a photodiode collects after its reset, dark charge included, by quadrature.
 
@@ -93,7 +91,6 @@ def collected_charge_e(photocurrent_e_per_s: NotNegatives, integration_s: NotNeg
     return charge_from_total_e(current + kind.saturation_current_e_per_s, time_s, kind)
 
 
-@checks_arguments
 def charge_from_total_e(total_e_per_s: NotNegativeArray, integration_s: NotNegativeArray, diode: Diode) -> Array:
     """Return the collected charge in e-, (...) as the arguments, for a = i_ph + I_s (e-/s, ≥ 0); see the module.
 

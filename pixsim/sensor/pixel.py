@@ -15,8 +15,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pixsim.base.arguments import NotNegative, Positive, Whole, check_broadcast, checks_arguments, checks_fields
 from pixsim.base.arrays import Array, PositiveArray, Positives
+from pixsim.base.bounds import NotNegative, Positive, Whole, check_broadcast
+from pixsim.base.door import checked_methods
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.records import UnitInterval, content_hash
 from pixsim.light.curves import EfficiencyCurve
@@ -252,7 +253,6 @@ NA_PER_PA = 1e-3
 RESPONSE_PEAK_QUANTUM_EFFICIENCY = 0.37
 
 
-@checks_arguments
 def fill_factor_law(pitch_um: Positives, technology: Technology) -> Array:
     """Return the fill factor η((p - s)² - (p0 - s)²)/p² in the shape (...) of the pitches; negative below the smallest pitch p0.
 
@@ -267,13 +267,11 @@ def fill_factor_law(pitch_um: Positives, technology: Technology) -> Array:
     return technology.fill_factor_limit * ((p - inset_um) ** 2 - (smallest_pitch_um(technology) - inset_um) ** 2) / p**2
 
 
-@checks_arguments
 def smallest_pitch_um(technology: Technology) -> float:
     """Return p0 of `fill_factor_law`, the pitch in µm at which the transistors fill the pixel."""
     return technology.fill_factor_zero_pitch_features * technology.feature_size_um
 
 
-@checks_arguments
 def pitch_for_fill_factor_um(fill_factor: float, technology: Technology) -> float:
     """Return the pitch in µm at a fill factor, the inverse of `fill_factor_law`.
 
@@ -294,7 +292,6 @@ def _response_table(curve: str) -> Array:
     return np.loadtxt(str(resources.files("pixsim") / f"data/{curve}_response.csv"), delimiter=",", skiprows=4)
 
 
-@checks_arguments
 def silicon_curve(wavelength_nm: Positives, peak_quantum_efficiency: UnitInterval) -> Array:
     """Return the QE of a generic silicon photodiode, scaled to a peak, (...) as the wavelengths; 0 outside 359-1029 nm.
 
@@ -304,7 +301,6 @@ def silicon_curve(wavelength_nm: Positives, peak_quantum_efficiency: UnitInterva
     return np.interp(np.asarray(wavelength_nm, float), table_nm, qe * peak_quantum_efficiency / qe.max(), left=0.0, right=0.0)
 
 
-@checks_arguments
 def response_curve(wavelength_nm: Positives, reading: str, peak_quantum_efficiency: UnitInterval) -> Array:
     """Return the QE of the HP/MOSIS photodiode in the shape (...) of the wavelengths; 0 outside 400-800 nm.
 
@@ -321,7 +317,6 @@ def response_curve(wavelength_nm: Positives, reading: str, peak_quantum_efficien
     return np.interp(np.asarray(wavelength_nm, float), table_nm, raw * scale, left=0.0, right=0.0)
 
 
-@checks_arguments
 def given_efficiency(wavelength_nm: Positives, given: float | EfficiencyCurve) -> Array:
     """Return the QE of a data sheet in the shape (...) of the wavelengths: the constant `given`, or its curve.
 
@@ -350,7 +345,6 @@ def absorbed_share(wavelength_nm: Positives, depth_um: float) -> Array:
     return np.where(nm > high_nm, 0.0, share)
 
 
-@checks_arguments
 def absorbed_efficiency(
     wavelength_nm: Positives, quantum_efficiency: UnitInterval, at_nm: AbsorbedWavelength, depth_um: AbsorptionDepth
 ) -> Array:
@@ -438,7 +432,7 @@ class Charge:
         return content_hash([own, self.temperature_k]) if warm else own
 
 
-@checks_fields
+@checked_methods
 @dataclass(frozen=True)
 class PixelPhysics:
     """Physical properties of a pixel, whatever reads it. Currents and charges are per pixel; noise is a standard deviation.
@@ -523,7 +517,6 @@ class PixelPhysics:
         """Width on each side of the die that is not scored on a display of fixed size."""
         return BORDER_PIXELS * self.read_pitch_um
 
-    @checks_arguments
     def registered(self, repeat: Whole, first: tuple[float, float] = (0.0, 0.0)) -> PixelPhysics:
         """Return the pixel of one repeat: with a registration of its own (`spread_registration`).
 
@@ -606,7 +599,6 @@ class PixelPhysics:
         of_sheet = self.pixel.dark_current and self.pixel.dark_current.doubling_k
         return of_sheet or self.technology.dark_doubling_k
 
-    @checks_arguments
     def number(self, quantity: str) -> float:
         """Return a number that pixels and technologies may state: the pixel's own, or that of its technology, in its unit.
 
@@ -639,7 +631,6 @@ class PixelPhysics:
             return silicon_curve(wavelength_nm, self.technology.peak_quantum_efficiency)
         return response_curve(wavelength_nm, self.pixel.response, self.technology.peak_quantum_efficiency)
 
-    @checks_arguments
     def quantum_efficiency(self, wavelength_nm: Positives) -> Array:
         """Return electrons per photon on the photodiode at each wavelength, (B,); 0 beyond the infrared cut.
 
@@ -653,7 +644,6 @@ class PixelPhysics:
         """`Pixel.infrared_cut_nm`, or infinity without a filter."""
         return self.pixel.infrared_cut_nm or math.inf
 
-    @checks_arguments
     def band_quantum_efficiency(self, wavelength_nm: PositiveArray, band_width_nm: PositiveArray) -> Array:
         """Return electrons per photon of bands, (B,): at their centres, times the fraction of each below the infrared cut."""
         check_broadcast(wavelength_nm=wavelength_nm.shape, band_width_nm=band_width_nm.shape)
@@ -673,7 +663,6 @@ def incomplete_sheet(pixel: Pixel, technology: Technology) -> PixsimError:
     return invalid("pixel", f"a data sheet without {named}", allowed, hint)
 
 
-@checks_arguments
 def growth_from_data_sheet(pixel: Pixel, technology: Technology, area_um2: Positive, full_well_e: Positive | None = None) -> float:
     """Return the photodiode area relative to that of the measured pixel; 1 if the measured pitch is not given.
 
@@ -883,7 +872,6 @@ def check_colour(pixel: Pixel, technology: Technology) -> None:
         raise invalid("pixel.colour.binning", got, allowed, "Take pixel.technology = '4t-bsi', or leave binning out.")
 
 
-@checks_arguments
 def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
     """Return the physical properties of a pixel; what its parameters do not set comes from the technology.
 

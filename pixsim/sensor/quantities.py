@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from pixsim.base.arguments import Bounds
+from pixsim.base.bounds import Bounds
 
 Pitch = Annotated[float, Field(ge=1e-3, le=1e6)]  # 1 nm ... 1 m
 Seconds = Annotated[float, Field(ge=1e-15, le=1e9)]  # 1 fs ... 30 years

@@ -35,8 +35,8 @@ from typing import IO, TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.arguments import NotNegative, Positive, checks_arguments, checks_fields
 from pixsim.base.arrays import Array, ArrayHeader, NotNegativeArray, first_where, read_array, read_arrays
+from pixsim.base.bounds import NotNegative, Positive
 from pixsim.base.errors import PixsimError, invalid, names_in
 from pixsim.base.files import MAX_PICTURE, check_compression, judge_picture, opened, reason, size_of
 from pixsim.base.notes import Note, warn
@@ -62,7 +62,6 @@ LINEARIZATION_TAG, BLACK_DIM_TAG, BLACK_COLUMNS_TAG, BLACK_ROWS_TAG, ACTIVE_AREA
 MAX_CELL = 16  # rows or columns of a cell of black levels
 
 
-@checks_fields
 @dataclass(frozen=True, repr=False)
 class RawFrame:
     """Digital numbers of a file and their metadata; None where the file does not state an item.
@@ -158,7 +157,6 @@ def _as_text(facts: dict[str, Any]) -> dict[str, Any]:
     return facts | {SATURATED: binascii.b2a_base64(packed, newline=False).decode("ascii")}
 
 
-@checks_arguments
 def write_frame(path: str | os.PathLike[str], frame: Frame | RawFrame) -> None:
     """Write the digital numbers and metadata of a frame; the file is moved into place when complete.
 
@@ -247,7 +245,6 @@ def _picture(dn: NDArray[Any]) -> Image:
     return fromarray(dn.astype(np.uint16))
 
 
-@checks_arguments
 def read_frame(path: str | os.PathLike[str]) -> RawFrame:
     """Read the digital numbers and metadata of a raw frame, from pixsim or another program.
 

@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-from pixsim.base.arguments import Count, NotNegative, Positive, checks_arguments, checks_fields
+from pixsim.base.bounds import Count, NotNegative, Positive
+from pixsim.base.door import checked_methods
 from pixsim.base.errors import invalid
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.mismatch import DarkSpread
@@ -24,7 +25,6 @@ from pixsim.sensor.stages import acting_on
 __all__ = ["Adc", "Readout"]
 
 
-@checks_fields
 @dataclass(frozen=True)
 class Adc:
     """An analogue-to-digital converter, and how electrons become codes at 0 dB: by a gain, or by the charge that the codes span.
@@ -79,7 +79,7 @@ def _adc_of(physics: PixelPhysics, pixels: int) -> Adc:
     return Adc(pixel.bits, pixel.black_level_dn, span_e=pixels * span_e)
 
 
-@checks_fields
+@checked_methods
 @dataclass(frozen=True)
 class Readout:
     """How a pixel is read. Currents, charges and noise are those of what is read, one pixel or the sum of binned ones.
@@ -115,7 +115,6 @@ class Readout:
             raise invalid("exposure.frames", got, f"sums of at most {MAX_CODE_BITS} bits", "Take fewer exposures or bits.")
 
     @classmethod
-    @checks_arguments
     def of(cls, physics: PixelPhysics, exposure: Exposure | None = None, *, bin_side: Count | None = None) -> Readout:
         """Return how the settings of a pixel and of an exposure have it read.
 
@@ -136,7 +135,6 @@ class Readout:
         readout = cls(physics, _adc_of(physics, bin_side**2), before_e, after_e, bin_side=bin_side)
         return readout if exposure is None else readout.at(exposure)
 
-    @checks_arguments
     def at(self, exposure: Exposure) -> Readout:
         """Return the reading in an exposure: at its gain, in as many exposures. Raises PixsimError as `Readout` does."""
         readout = self if exposure.gain_db == self.gain_db else replace(self, gain_db=exposure.gain_db)
@@ -144,7 +142,6 @@ class Readout:
             readout = stage.act(readout, exposure)
         return readout
 
-    @checks_arguments
     def burst(self, exposures: Count) -> Readout:
         """Return the reading of frames that are the sum of so many exposures. Raises PixsimError as `Readout` does.
 
@@ -160,7 +157,6 @@ class Readout:
         """Return the same reading of a pixel with other numbers, fields of `PixelPhysics`; the ADC stays."""
         return replace(self, physics=replace(self.physics, **numbers))
 
-    @checks_arguments
     def with_silent(self, names: tuple[str, ...]) -> Readout:
         """Return the same reading of a pixel with some noise sources switched off, and no others.
 
@@ -252,7 +248,6 @@ class Readout:
         """Spread of all offsets of pixels and columns."""
         return constant_e(self, is_temporal=False)
 
-    @checks_arguments
     def dynamic_range_db(self, integration_s: NotNegative) -> float:
         """Return the dynamic range: 20 log₁₀ of saturation less the dark charge, over the dark noise (Chen et al. 2000, eq. 1).
 
@@ -271,7 +266,6 @@ class Readout:
         variance_e2 = self._dark_variance_e2(dark_e)
         return 20 * math.log10((self.saturation_e - dark_e) / math.sqrt(variance_e2)) if variance_e2 else math.inf
 
-    @checks_arguments
     def snr_db(self, signal_e: NotNegative, integration_s: NotNegative) -> float:
         """Return the SNR of a signal charge (Chen et al. 2000, eq. 2); -inf for a charge of 0.
 

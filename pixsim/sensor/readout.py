@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.arguments import Count, NotNegative, Positive, Whole, checks_arguments, checks_fields, made
 from pixsim.base.arrays import Array, NotNegativeArray, NotNegativePicture, NumberArray, in_threads, strips
+from pixsim.base.bounds import Count, NotNegative, Positive, Whole
 from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
 from pixsim.light.spectral import SpectralImage
@@ -58,7 +58,6 @@ def lasting(exposure: Exposure, total_s: float) -> Exposure:
     return exposure.model_copy(update={"integration_s": total_s, "frame_time": "shared"})
 
 
-@checks_arguments
 def integration_time_s(exposure: Exposure, readout: Readout, brightest_e_per_s: NotNegative) -> float:
     """Return the manual integration time, or the time that exposes the brightest pixel to the target, up to the maximum.
 
@@ -90,7 +89,6 @@ def metered_motion(
 # --- fixed pattern ----------------------------------------------------------------------------------------------------
 
 
-@checks_fields
 @dataclass(frozen=True)
 class Sensor:
     """One sensor with its fixed pattern, the same in every frame. A map is None if its standard deviation is zero.
@@ -111,7 +109,6 @@ class Sensor:
     column_offset_e: Array | None = field(repr=False)
 
 
-@checks_arguments
 def sample_sensor(readout: Readout, shape: tuple[Count, Count], rng: np.random.Generator) -> Sensor:
     """Draw the fixed pattern of a sensor of a given `shape` (rows, columns) from `rng`.
 
@@ -139,7 +136,7 @@ def sample_sensor(readout: Readout, shape: tuple[Count, Count], rng: np.random.G
     column_offset_e = np.empty((1, shape[1])) if of_columns_e else None
     if column_offset_e is not None:
         _draw_gaussian(of_columns_e, column_offset_e, rng)
-    return made(Sensor, readout, shape, gain, dark_gain, offset_e, column_offset_e)
+    return Sensor(readout, shape, gain, dark_gain, offset_e, column_offset_e)
 
 
 def _rows_of(picture: Array) -> Iterator[Array]:
@@ -153,7 +150,6 @@ def _draw_gaussian(spread: float, out: Array, rng: np.random.Generator) -> None:
     out *= spread
 
 
-@checks_arguments
 def make_sensor(pixel: Pixel, camera: Camera, seed: Whole = 0, *, aspect: Aspect | None = None) -> Sensor:
     """Make a sensor that fills the camera's die, with its fixed pattern drawn from the seed.
 
@@ -178,7 +174,6 @@ def make_sensor(pixel: Pixel, camera: Camera, seed: Whole = 0, *, aspect: Aspect
 # --- noise, in the order of the charge --------------------------------------------------------------------------------
 
 
-@checks_fields
 @dataclass(frozen=True)
 class Frame:
     """The digital numbers of one frame, with the quantities behind them; of a burst, the sums over its exposures.
@@ -261,7 +256,6 @@ class Frame:
         return variance_e2
 
 
-@checks_arguments
 def shot_noise(mean_e: NotNegativeArray, rng: np.random.Generator) -> Array:
     """Draw Poisson counts (...) of mean `mean_e` from `rng`, in electrons; above 1e9 they are rounded normal values.
 
@@ -279,7 +273,6 @@ def _shot_noise(mean_e: Array, rng: np.random.Generator) -> NDArray[Any]:
     return np.where(mean_e < POISSON_LIMIT_E, counts, normal)
 
 
-@checks_arguments
 def quantise(level_dn: NumberArray, bits: FrameBits) -> NDArray[np.int32]:
     """Round half to even and clip to 0 … 2^bits - 1, (...). This adds a variance of 1/12 DN² (within 0.3 %) if σ exceeds 0.6 DN.
 
@@ -301,7 +294,6 @@ def _quantise(level_dn: Array, bits: int, out: NDArray[np.int32]) -> None:
     np.copyto(out, level_dn, casting="unsafe")  # whole numbers
 
 
-@checks_arguments
 def read_out(mean_e: NotNegativeArray, integration_s: NotNegative, sensor: Sensor, rng: np.random.Generator) -> NDArray[np.int32]:
     """Return one frame, (rows, columns) int32 DN, from the mean photo-electrons of each pixel; temporal noise is from `rng`.
 
@@ -446,7 +438,6 @@ def by_block(draw: Callable[[slice, np.random.Generator], None], shape: tuple[in
     in_threads(lambda pair: draw(*pair), zip(blocks, generators, strict=True), math.prod(shape))
 
 
-@checks_arguments
 def frame_mean_dn(mean_e: NotNegativeArray | NotNegative, integration_s: NotNegative, readout: Readout) -> Array:
     """Return the expected DN over sensors and frames, in the shape (...) of `mean_e`.
 
@@ -457,7 +448,6 @@ def frame_mean_dn(mean_e: NotNegativeArray | NotNegative, integration_s: NotNega
     return (np.asarray(mean_e, float) + dark_e) * readout.dn_per_e + readout.black_level_dn
 
 
-@checks_arguments
 def frame_variance_dn2(
     mean_e: NotNegativeArray | NotNegative, integration_s: NotNegative, readout: Readout, fixed_pattern: bool = True
 ) -> Array:
@@ -475,7 +465,6 @@ def frame_variance_dn2(
     return np.asarray(of_all_e2 * p.dn_per_e**2 + p.rounding_variance_dn2)
 
 
-@checks_arguments
 def dark_spread_e(readout: Readout, integration_s: NotNegative) -> float:
     """Return the standard deviation in e- of a dark signal over frames and over the pixels that are not hot.
 
@@ -487,7 +476,6 @@ def dark_spread_e(readout: Readout, integration_s: NotNegative) -> float:
     return math.sqrt(variance_e2(without_hot, of_frames_e2, dark_e=dark_e, is_temporal=False))
 
 
-@checks_arguments
 def least_black_level_dn(readout: Readout, integration_s: NotNegative) -> int:
     """Return the lowest black level, a whole code, that keeps `BLACK_SIGMAS` of the dark signal and one LSB above 0 DN.
 
@@ -501,7 +489,6 @@ def least_black_level_dn(readout: Readout, integration_s: NotNegative) -> int:
     return math.ceil(spread * adc.top_code_dn / (readout.adc_range_e + spread)) + 1
 
 
-@checks_arguments
 def capture_from_rates(
     signal_e_per_s: NotNegativePicture, sensor: Sensor, exposure: Exposure, rng: np.random.Generator, each: Sequence[Array] = ()
 ) -> Frame:
@@ -532,7 +519,6 @@ def capture_from_rates(
     return _frame(dn, fraction, mean_e, time_s, p, exposure, saturated)
 
 
-@checks_arguments
 def make_frame(
     dn: NDArray[np.int32],
     saturated_fraction: SaturatedFraction,
@@ -577,8 +563,7 @@ def _frame(
     dn_per_e = readout.dn_per_e
     if not dn_per_e < math.inf:
         raise invalid("dn_per_e", f"{dn_per_e}", "a finite number", "Take a larger full well, or more electrons per DN.")
-    return made(
-        Frame,
+    return Frame(
         dn=dn,
         mean_e=mean_e,
         integration_s=time_s,
@@ -598,7 +583,6 @@ def _frame(
     )
 
 
-@checks_arguments
 def capture(
     irradiance: SpectralImage,
     camera: Camera,

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from pixsim.base.arguments import SMALLEST
+from pixsim.base.bounds import SMALLEST
 from pixsim.base.errors import PixsimError, did_you_mean, invalid, quoted
 from pixsim.base.problems import explain
 from pixsim.base.records import AnyNumber, Record

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
 
 from pydantic import Field, create_model, model_validator
 
-from pixsim.base.arguments import checks_arguments
 from pixsim.base.caller import setting
+from pixsim.base.door import checked_methods
 from pixsim.base.errors import PixsimError, did_you_mean, excerpt, invalid, name_fault, one_line, quoted
 from pixsim.base.layers import Layer
 from pixsim.base.records import AnyNumber, Record, checked
@@ -79,6 +79,7 @@ else:
     NumbersOfPixels = create_model("NumbersOfPixels", __base__=Record, **_declared_by_pixels())
 
 
+@checked_methods
 class Technology(NumbersOfPixels):
     """The properties of a CMOS process that set those of a pixel.
 
@@ -233,7 +234,6 @@ class Technology(NumbersOfPixels):
         """The values that results depend on: the record without sources, ranges and distributions."""
         return self.model_dump(exclude={"sources", "ranges", "distributions"})
 
-    @checks_arguments
     def with_numbers(self, values: dict[str, float], source: str) -> Technology:
         """Return the technology with other values of some of its `numbers`.
 
@@ -295,7 +295,6 @@ def with_fill_factor_law(technology: Technology, law: str) -> Technology:
     return technology.model_copy(update=dict(zip(names, OTHER_FILL_FACTOR_LAWS[law], strict=True)))
 
 
-@checks_arguments
 def load_technology(name: str) -> Technology:
     """Load a packaged technology by its name, or a user's by the path of its TOML file.
 

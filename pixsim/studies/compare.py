@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from pixsim.base.arguments import Count, Jobs, checks_arguments
 from pixsim.base.arrays import Array
+from pixsim.base.bounds import Count, Jobs
 from pixsim.base.errors import invalid
 from pixsim.base.files import output_folder, version_of_files
 from pixsim.base.layers import listed
@@ -198,7 +198,6 @@ class ResultsComparison(Result):
         return f"<ResultsComparison {' and '.join(self.names)}: {len(self.differences)} differences>"
 
 
-@checks_arguments
 def compare_results(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> ResultsComparison:
     """Compare two results that exist, by their folders: of two runs, two studies or two comparisons.
 
@@ -262,7 +261,6 @@ def _shown(value: object) -> str:
 # --- sensors in one scene ---------------------------------------------------------------------------------------------------------
 
 
-@checks_arguments
 def compare(
     files: Sequence[str | os.PathLike[str]],
     scene: str | os.PathLike[str] | None = None,

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.notes import Note
 from pixsim.base.result import Result
@@ -220,7 +219,6 @@ class Comparison(Result):
         """The sensors of `shown`, in the order of their files."""
         return tuple(self.of_group(self.shown).values())
 
-    @checks_arguments
     def frames(self, name: str, metric: Metric = DELTA_E, condition: str | None = None) -> Array:
         """Return a number of each frame of a sensor on the stated display, (repeats,).
 
@@ -317,7 +315,6 @@ class Comparison(Result):
                 total += weight * sensors[self.names[0]].steps.error_of_difference(sensors[other].steps)
         return None if math.isnan(total) else total
 
-    @checks_arguments
     def display_differences(self, other: str, match: Match | None = None) -> tuple[DisplayDifference, ...]:
         """Return the difference of the first sensor and another one on each display, the stated one first.
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.arguments import Positive, checks_arguments, checks_fields
 from pixsim.base.arrays import Array, PositiveArray
+from pixsim.base.bounds import Positive
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.result import Result
 from pixsim.sensor.labels import file_label, label_of
@@ -92,7 +92,6 @@ WIDE_RATIO = 1.5  # of the largest to the smallest size of a range that is worth
 SAME_SIZE = 1e-3  # relative: an optimum at the end of a range is there to the rounding of its fit
 
 
-@checks_fields
 @dataclass(frozen=True)
 class Curve(Result):
     """Mean ΔE against pitch for one technology, or another metric that judges first.
@@ -184,7 +183,6 @@ class Curve(Result):
         """The first metric, which the curve is drawn of."""
         return self.metrics[0]
 
-    @checks_arguments
     def judged_by(self, metric: str) -> Curve:
         """Return the curve with one of its metrics that tell a best size as the first one.
 
@@ -261,7 +259,6 @@ class Curve(Result):
         """Mean of each statistic of ΔE over the sensors of each pitch, (pitches,); none if ΔE was not asked for."""
         return {name: self.mean(name) for name in DELTA_E.columns if name in self.statistics}
 
-    @checks_arguments
     def mean(self, statistic: str | None = None) -> Array:
         """Return the mean of a statistic over the sensors of each pitch, (pitches,), in its unit.
 
@@ -269,7 +266,6 @@ class Curve(Result):
         """
         return mean_of_sensors(self.delta_e if statistic is None else self.statistics[statistic])
 
-    @checks_arguments
     def typical(self, statistic: str) -> Array:
         """Return the mean of a statistic over the sensors of each pitch, (pitches,), in its unit; the least one of a worst case.
 
@@ -323,7 +319,6 @@ class Curve(Result):
             return None
         return float(self.pitch_um[0] / np.sqrt(self.fresnel_number[0]))
 
-    @checks_arguments
     def fresnel_at(self, pitch_um: Pitch) -> float | None:
         """Return the Fresnel number of the microlens at any pitch, to whose square it is proportional; None without microlenses."""
         return None if self.doubtful_below_um is None else (pitch_um / self.doubtful_below_um) ** 2

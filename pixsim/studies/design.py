@@ -18,7 +18,6 @@ import numpy as np
 from pydantic import ValidationError
 
 from pixsim.base import cache
-from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array, PositiveArray
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.notes import Note, warn
@@ -57,7 +56,6 @@ if TYPE_CHECKING:
 # --- pixels of a study ------------------------------------------------------------------------------------------------------------
 
 
-@checks_arguments
 def pixel_of(study: Study, technology: str, pitch_um: Pitch) -> Pixel:
     """Pixel of a study in a technology, by name or path, at a pitch."""
     sensor = study.sensors.get(technology)
@@ -84,7 +82,6 @@ def technology_of(study: Study, name: str) -> Technology:
     return technology.with_numbers(values, f"process.{name}")
 
 
-@checks_arguments
 def physics_of(study: Study, technology: str, pitch_um: Pitch, process: Technology | None = None) -> PixelPhysics:
     """Return the physical properties of a study's pixel, with the process numbers of `Study.process`.
 
@@ -99,7 +96,6 @@ def physics_of(study: Study, technology: str, pitch_um: Pitch, process: Technolo
     return derive(pixel_of(study, technology, pitch_um), process or technology_of(study, technology))
 
 
-@checks_arguments
 def photodiode_widths_um(study: Study, technology: str, pitch_um: PositiveArray) -> Array:
     """Return the widths √fill factor · pitch in µm of the square photodiodes of a study's pixels, (n,) as the pitches.
 

@@ -41,7 +41,6 @@ from scipy.linalg import LinAlgError
 from scipy.linalg.lapack import dpotrf, dtrtri
 from scipy.special import fdtrc, gammaincinv, stdtrit
 
-from pixsim.base.arguments import checks_fields
 from pixsim.base.arrays import Array
 from pixsim.sensor.quantities import Pitch
 from pixsim.viewer.metrics import Metric
@@ -80,7 +79,6 @@ DIP = 0.03  # of the best one's mean ΔE, by which the fit is lower at its minim
 ROUNDING = 1e-6  # of the mean ΔE: the smallest noise of a pitch, so that the covariance of exact data can be factored
 
 
-@checks_fields
 @dataclass(frozen=True)
 class Optimum:
     """The pitch of minimum mean ΔE, with its uncertainty.

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
-from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.studies.table import Table
@@ -100,7 +99,6 @@ def weighted_frames(
     return frames
 
 
-@checks_arguments
 def mean_interval(values: Array) -> tuple[float, float, float]:
     """Return the lower end, the mean and the upper end of the 95 % interval of an expected value, from values (n,), n > 1.
 
@@ -114,7 +112,6 @@ def mean_interval(values: Array) -> tuple[float, float, float]:
     return mean - half, mean, mean + half
 
 
-@checks_arguments
 def spread_interval(values: Array, at_first: Array) -> tuple[float, float, float]:
     """Return the lower end, the mean and the upper end of the 95 % interval of an expected value over all registrations.
 
@@ -150,7 +147,6 @@ def spread_interval(values: Array, at_first: Array) -> tuple[float, float, float
     return mean - half, mean, mean + half
 
 
-@checks_arguments
 def probability_above_zero(differences: Array) -> float:
     """Return the probability that the expected difference is above 0, from differences (n,), n > 1, of paired frames.
 

@@ -17,7 +17,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from pixsim.base.arguments import checks_arguments
 from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import Note, warn
@@ -217,7 +216,6 @@ def asked_of(uncertainty: int | None, sobol: int | None, smaller_than_um: Sequen
     return None
 
 
-@checks_arguments
 def unknowns_of_study(study: Study, uncertainty: Mapping[str, Mapping[str, Spread]] | None = None) -> list[Unknown]:
     """Return all numbers of a study's sensors that are not known: of [pixel], its data sheets, and its technologies.
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pixsim.base.arguments import Count, checks_arguments, checks_fields
 from pixsim.base.arrays import Array
+from pixsim.base.bounds import Count
 from pixsim.base.digits import interval
 from pixsim.base.errors import invalid
 from pixsim.base.notes import Note
@@ -46,7 +46,6 @@ if TYPE_CHECKING:
 FEW_ROWS = 64  # that tell which part of the pixels is full
 
 
-@checks_fields
 @dataclass(frozen=True)
 class StudyResult(Result):
     """The result of a study, with everything that its report needs.
@@ -104,13 +103,11 @@ class StudyResult(Result):
         """Error of the film of the light; None if it was not measured."""
         return self.light.film
 
-    @checks_arguments
     def film_at_best(self, curve: Curve) -> FilmError | None:
         """Return the error of the film at the pitch of a curve with the least mean ΔE; None if it was not measured."""
         best_um = float(curve.pitch_um[np.nanargmin(curve.mean())])
         return None if self.film is None else self.film.at(best_um)
 
-    @checks_arguments
     def part_of(self, curve: Curve) -> StudyResult:
         """Return the result of the case of a curve: of a study without axes and conditions, this result."""
         return self
@@ -120,7 +117,6 @@ class StudyResult(Result):
         """The result of each case: a study without axes and conditions is its own only one."""
         return (self,)
 
-    @checks_arguments
     def physics(self, technology: str, pitch_um: Pitch) -> PixelPhysics:
         """Return a pixel of the study. Raises PixsimError for a pitch that is impossible in the technology."""
         return physics_of(self.study, technology, pitch_um)
@@ -151,7 +147,6 @@ class StudyResult(Result):
         """The light behind the lens for each spectral response, stored for `scores`."""
         return next(iter(self.sensors.values())).scenes
 
-    @checks_arguments
     def dark(self, curve: Curve) -> dict[str, list[float]]:
         """Return `pixsim.viewer.dark_clip.dark_clip` for the pitches of a curve, a list for each of its numbers."""
         exposures = tuple(zip(curve.pitch_um.tolist(), curve.mean("integration_s").tolist(), strict=True))
@@ -170,7 +165,6 @@ class StudyResult(Result):
         """What `dark` has computed."""
         return {}
 
-    @checks_arguments
     def scores(self, technology: str, pitch_um: Pitch, repeats: Count | None = None) -> list[FrameScore]:
         """Return the scores, with pictures, of the first `repeats` sensors of a `technology` at a pitch.
 
@@ -180,7 +174,6 @@ class StudyResult(Result):
         """
         return self._scores(technology, pitch_um, repeats)
 
-    @checks_arguments
     def shown_scores(self, technology: str, pitch_um: Pitch, repeats: Count) -> list[FrameScore]:
         """Return `scores` of a `technology` in less time, for pictures: where the cache has the frames, their `mean_e` is 0.
 
@@ -202,7 +195,6 @@ class StudyResult(Result):
         # Figures sum over the maps, for which float32 has too few digits.
         return [replace(score, delta_e=score.delta_e.astype(float)) for score in scores]
 
-    @checks_arguments
     def shown_part(self, technology: str, pitch_um: Pitch, part: Callable[[Array], Array]) -> Array:
         """Return a part of the picture, (rows, columns), that the first sensor of a pitch shows, as `scores` has it, without ΔE.
 
@@ -216,7 +208,6 @@ class StudyResult(Result):
         _, chain, frame, _ = next(frames_of(task, lit.light(), [0], shown=True))
         return display_image(chain.development.light(frame, part), self.study.display)
 
-    @checks_arguments
     def sensors_at(self, technology: str, pitch_um: Pitch) -> int:
         """Return the number of sensors of a pitch; for a pitch not in the study, the number that each pitch started with.
 
@@ -241,7 +232,6 @@ class StudyResult(Result):
         return f"<{type(self).__name__} {self.study.name}: {'; '.join(optima)}>"
 
 
-@checks_fields
 @dataclass(frozen=True, repr=False)
 class CasesResult(StudyResult):
     """The result of a study with axes or conditions.
@@ -257,7 +247,6 @@ class CasesResult(StudyResult):
     left_out: tuple[str, ...] = ()
     findings: tuple[tuple[Any, ...], ...] = field(default=(), repr=False)
 
-    @checks_arguments
     def part_of(self, curve: Curve) -> StudyResult:
         """Return the result of the case of a curve."""
         case = curve.at, curve.condition, curve.alone
@@ -269,7 +258,6 @@ class CasesResult(StudyResult):
         """The result of each case."""
         return self.parts
 
-    @checks_arguments
     def case(self, condition: str | None = None, **at: float | int | str) -> StudyResult:
         """Return the result of one case, with its curves, pictures and files.
 

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import scipy  # whose parts are imported when they are used
 
-from pixsim.base.arguments import Count, checks_arguments
 from pixsim.base.arrays import Array
+from pixsim.base.bounds import Count
 from pixsim.base.caller import parameter, setting
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import Note, collected_notes, warn, without_warnings
@@ -509,7 +509,6 @@ class RunResult(LitRun, Result):
 # --- the way from the settings to the result -------------------------------------------------------------------------------------
 
 
-@checks_arguments
 def run(
     scene: str | os.PathLike[str],
     *,

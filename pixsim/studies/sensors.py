@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from pixsim.base.arguments import checks_arguments
 from pixsim.base.caller import setting
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.files import missing
@@ -694,7 +693,6 @@ Match = Literal["view", "lens", "own"]
 ALIKE = 1e-9  # relative difference of two fields of view that is rounding
 
 
-@checks_arguments
 def matched_cameras(cameras: Sequence[Camera], match: Match, window_mm: float | None = None) -> tuple[Camera, ...]:
     """Return cameras that see one field: the central part that all have in common, after `match`.
 

@@ -23,8 +23,9 @@ from pydantic import (
     model_validator,
 )
 
-from pixsim.base.arguments import brief, checks_arguments
+from pixsim.base.bounds import brief
 from pixsim.base.caller import setting
+from pixsim.base.door import checked_methods
 from pixsim.base.errors import invalid, name_fault
 from pixsim.base.layers import Layer, nested
 from pixsim.base.notes import Note, warn
@@ -393,6 +394,7 @@ def _that_sets(path: tuple[str, ...], settings: Mapping[tuple[str, ...], str]) -
     return next((settings[other] for other in settings if other[0] == "pixel" and other[1] in words), "")
 
 
+@checked_methods
 class Study(Setting):
     """Settings of a study: mean ΔE of many pitches, technologies and sensors."""
 
@@ -564,7 +566,6 @@ class Study(Setting):
         largest_um = max(self.own_pitches_um) * PITCH_RATIO
         return low or self.own_um / PITCH_RATIO, high if "max_um" in self.pitch.model_fields_set else largest_um
 
-    @checks_arguments
     def options_of(self, technology: str) -> PixelOptions:
         """The pixel of a technology, without its pitch: [pixel], or a data sheet's own."""
         return self.sensors.get(technology, self.pixel)

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pixsim.base.arguments import Jobs, checks_arguments
 from pixsim.base.arrays import Array
+from pixsim.base.bounds import Jobs
 from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import output_folder
@@ -357,7 +357,6 @@ def _results_of_types(
     return table, holds
 
 
-@checks_arguments
 def study(
     plan: Study | str | os.PathLike[str],
     out: str | os.PathLike[str],

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any
 
-from pixsim.base.arguments import Count, Jobs, Whole, checks_arguments
+from pixsim.base.bounds import Count, Jobs, Whole
 from pixsim.base.errors import invalid, name_fault
 from pixsim.base.files import output_folder
 from pixsim.base.layers import Layer
@@ -53,7 +53,6 @@ ONLY_OF_SCENE = ("window_mm", "tolerance_delta_e")
 RECORDS = ("exposure", "display", "correction", "motion", "develop", "metric", "camera")  # arguments that may be tables
 
 
-@checks_arguments
 def sweep(
     light: SpectralImage,
     pixels: Mapping[str, Pixel] | Sequence[Pixel],

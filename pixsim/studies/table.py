@@ -22,7 +22,6 @@ from typing import IO, TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import digest_of, kind_of, opened, replacing, version_of_files
@@ -121,7 +120,6 @@ class Table(Sequence[dict[str, Any]], Result):
         ends = np.searchsorted(self.case, np.arange(len(self.labels) + 1))
         return [self.take(np.arange(first, end)) for first, end in pairwise(ends.tolist())]
 
-    @checks_arguments
     def where(self, **labels: Label) -> Table:
         """Return the rows whose labels and columns have these values, as `technology="0.35um", repeat=0`."""
         chosen = np.ones(len(self), bool)

@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 from scipy.special import betaincinv, ndtri
 
-from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array, stream
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.records import Record
@@ -254,7 +253,6 @@ class Unknown:
         return {"name": self.name, "value": self.value, "distribution": self.spread.kind} | stated
 
 
-@checks_arguments
 def unknowns_of_technology(technology: Technology, name: str, known: Sequence[str] = ()) -> list[Unknown]:
     """Return the numbers of a technology whose file has a range.
 
@@ -290,7 +288,6 @@ def unknowns_of_technology(technology: Technology, name: str, known: Sequence[st
     return list(unknowns.values())
 
 
-@checks_arguments
 def unknowns_of_sheet(pixel: PixelOptions, uncertainty: Mapping[str, Spread], technology: str = "") -> list[Unknown]:
     """Return the uncertain numbers of a data sheet.
 
@@ -359,7 +356,6 @@ def given_for_process(pixel: PixelOptions) -> set[str]:
     return replaced | {f"stack_{name}" for name in own | stack_excluded_by(own)}
 
 
-@checks_arguments
 def settings_of(study: Study, unknowns: Sequence[Unknown], draw: Mapping[str, float]) -> dict[str, Any]:
     """Return the settings of a study that make one sensor type, as tables to merge into it.
 

@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from pixsim.base.arguments import Whole, checks_arguments
 from pixsim.base.arrays import Array
+from pixsim.base.bounds import Whole
 from pixsim.base.digits import number
 from pixsim.base.notes import without_warnings
 from pixsim.base.progress import Progress, Stage, no_stage
@@ -99,7 +99,6 @@ class Accuracy(Result):
         )
 
 
-@checks_arguments
 def accuracy(
     scene: str | os.PathLike[str],
     *,

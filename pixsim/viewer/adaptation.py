@@ -10,7 +10,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 
@@ -22,7 +21,6 @@ RESPONSES = {
 }
 
 
-@checks_arguments
 def adaptation_matrix(from_white_xyz: ArrayLike, to_white_xyz: ArrayLike, method: Adaptation = "bradford") -> Array:
     """Return the matrix, (3, 3), from XYZ under one white to XYZ under another, with full adaptation. ICC.1:2010, annex E.
 

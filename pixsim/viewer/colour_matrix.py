@@ -25,7 +25,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array, PositiveArray
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.light.spectral import colour_matching
@@ -53,7 +52,6 @@ CIE_LINEAR_BELOW, CIE_SLOPE = 216 / 24389, 841 / 108
 LAB_FROM_F = np.array([[0.0, 116.0, 0.0], [500.0, -500.0, 0.0], [0.0, 200.0, -200.0]])
 
 
-@checks_arguments
 def colour_matrix(
     wavelength_nm: PositiveArray,
     sensitivities: Array,
@@ -88,7 +86,6 @@ def colour_matrix(
     return matrix
 
 
-@checks_arguments
 def chart_xyz(wavelength_nm: PositiveArray, power: Array) -> tuple[Array, Array]:
     """Return XYZ of the 24 patches, (24, 3), and of the perfect white, (3,), under a lamp; white has Y = 1. CIE 15.
 
@@ -104,7 +101,6 @@ def chart_xyz(wavelength_nm: PositiveArray, power: Array) -> tuple[Array, Array]
     return patch_reflectance(wavelength_nm) @ weight / luminance, weight.sum(axis=0) / luminance
 
 
-@checks_arguments
 def chart_responses(wavelength_nm: PositiveArray, sensitivities: Array, power: Array) -> Array:
     """Return the white-balanced responses of a camera to the 24 patches, (24, C), relative to the perfect white (ISO 17321-1).
 
@@ -125,7 +121,6 @@ def chart_responses(wavelength_nm: PositiveArray, sensitivities: Array, power: A
     return np.asarray(patch_reflectance(wavelength_nm) @ weight / white)
 
 
-@checks_arguments
 def fit_matrix(
     responses: Array, xyz: Array, white_xyz: ArrayLike, method: Fit = "least_delta_e", covariance: Array | None = None
 ) -> Array:
@@ -223,7 +218,6 @@ def _f_and_slope(relative: Array) -> tuple[Array, Array]:
     return f, np.where(is_linear, CIE_SLOPE, 1 / (3 * np.square(root)))
 
 
-@checks_arguments
 def colour_errors(matrix: Array, responses: Array, xyz: Array, white_xyz: ArrayLike) -> Array:
     """Return the ΔE*ab (CIE 1976) of each patch, (P,), behind a matrix (3, C).
 
@@ -237,7 +231,6 @@ def colour_errors(matrix: Array, responses: Array, xyz: Array, white_xyz: ArrayL
     return np.asarray(delta_e(xyz_to_lab(xyz, white), xyz_to_lab(responses @ matrix.T, white)))
 
 
-@checks_arguments
 def metamerism_index(errors_delta_e: Array) -> float:
     """Return the sensitivity metamerism index, 100 - 5.5 · mean ΔE*ab of patches 1-18, (18,); ISO 17321-1. A number, at most 100.
 
@@ -246,7 +239,6 @@ def metamerism_index(errors_delta_e: Array) -> float:
     return 100.0 - SMI_PER_DELTA_E * float(np.mean(errors_delta_e))
 
 
-@checks_arguments
 def noise_gains(matrix: Array, white_xyz: ArrayLike, adaptation: Adaptation = "bradford") -> Array:
     """Return the ratio by which a matrix (3, C) amplifies noise in R, G and B of the display's linear light, (3,).
 
@@ -264,7 +256,6 @@ def noise_gains(matrix: Array, white_xyz: ArrayLike, adaptation: Adaptation = "b
     return np.sqrt(np.square(to_rgb).sum(axis=1))
 
 
-@checks_arguments
 def check_noise_gains(matrix: Array, white_xyz: ArrayLike, adaptation: Adaptation = "bradford") -> None:
     """Raise AlikeChannelsError if a matrix amplifies noise more than 10 times; the arguments are those of `noise_gains`."""
     gains = noise_gains(matrix, white_xyz, adaptation)

@@ -26,7 +26,6 @@ import numpy as np
 import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike
 
-from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Array, Picture, empty_planes
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.sensor.colour_options import BAYER, binned_cell, channels_of
@@ -49,7 +48,6 @@ MALVAR_ROW = np.array([[0, 0, 0.5, 0, 0], [0, -1, 0, -1, 0], [-1, 4, 5, 4, -1], 
 MALVAR_CROSS = np.array([[0, 0, -1.5, 0, 0], [0, 2, 0, 2, 0], [-1.5, 0, 6, 0, -1.5], [0, 2, 0, 2, 0], [0, 0, -1.5, 0, 0]]) / 8
 
 
-@checks_arguments
 def demosaic(mosaic: Picture, pattern: str | Sequence[str], method: Method = "bilinear") -> Array:
     """Return all channels at each pixel of a mosaic, (H, W, C), in the unit of the mosaic (H, W); nothing is clipped.
 
@@ -86,7 +84,6 @@ def demosaic(mosaic: Picture, pattern: str | Sequence[str], method: Method = "bi
     return np.moveaxis(planes, 0, -1)
 
 
-@checks_arguments
 def demosaic_covariance(
     pattern: str | Sequence[str],
     method: Method,
@@ -126,7 +123,6 @@ def demosaic_covariance(
     return np.asarray(np.einsum("cdk,...k->...cd", own, values))
 
 
-@checks_arguments
 def demosaic_column_covariance(
     pattern: str | Sequence[str],
     method: Method,
@@ -154,7 +150,6 @@ def demosaic_column_covariance(
     return np.asarray(np.einsum("cdkl,...k,...l->...cd", own, values, values))
 
 
-@checks_arguments
 def demosaic_row_covariance(
     pattern: str | Sequence[str],
     method: Method,
@@ -195,7 +190,6 @@ def _checked_noise(
     return cell, values
 
 
-@checks_arguments
 def unit_cell(pattern: str | Sequence[str]) -> tuple[str, ...]:
     """Return the rows of a pattern's unit cell; the argument is that of `demosaic`.
 
@@ -218,7 +212,6 @@ def unit_cell(pattern: str | Sequence[str]) -> tuple[str, ...]:
     return cell
 
 
-@checks_arguments
 def single_cell(pattern: str | Sequence[str]) -> tuple[str, ...]:
     """Return the unit cell that `remosaic` makes of a quad pattern. Raises PixsimError for a pattern that is not one."""
     cell = unit_cell(pattern)
@@ -229,7 +222,6 @@ def single_cell(pattern: str | Sequence[str]) -> tuple[str, ...]:
     return single
 
 
-@checks_arguments
 def remosaic(mosaic: Picture, pattern: str | Sequence[str]) -> Array:
     """Return a mosaic (H, W) of a quad pattern as one of single pixels, whose pattern is `single_cell`, in its precision and unit.
 
@@ -293,7 +285,6 @@ def _remosaic_taps(cell: tuple[str, ...]) -> dict[tuple[int, int], dict[tuple[in
     return found
 
 
-@checks_arguments
 def check_method(cell: Sequence[str], method: Method) -> None:
     """Raise PixsimError if a method cannot demosaic a unit cell."""
     if method != "interpolate" and tuple(cell) not in BAYER.values():

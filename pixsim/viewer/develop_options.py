@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, cast
 
 from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema, model_validator
 
-from pixsim.base.arguments import brief
+from pixsim.base.bounds import brief
 from pixsim.base.errors import invalid, one_line
 from pixsim.base.records import Record, UnitInterval, as_float, as_list
 from pixsim.base.user_code import by_value, code_hash

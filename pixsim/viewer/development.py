@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from pixsim.base.arguments import made
 from pixsim.base.arrays import Array, stream
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.sensor.collection import Collection, ColourCollection, shading_of
@@ -241,8 +240,7 @@ class Development:
 
         # Pixels that fill the picture exactly may begin at -1e-18 µm.
         border_um = max(0.0, float(screen.dot_edges_um[0][0])), max(0.0, float(screen.dot_edges_um[1][0]))
-        return made(
-            FrameScore,
+        return FrameScore(
             screen.delta_e_of(image),
             screen.ideal,
             image,

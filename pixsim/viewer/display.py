@@ -14,8 +14,8 @@ from typing import Annotated, Any
 import numpy as np
 from scipy.sparse import csr_array
 
-from pixsim.base.arguments import Bounds, Count, NotNegative, Positive, checks_arguments
 from pixsim.base.arrays import STRIP_DOTS, Array, Finites, NumberArray, Picture, Row, strips, transposed
+from pixsim.base.bounds import Bounds, Count, NotNegative, Positive
 from pixsim.base.caller import setting
 from pixsim.base.errors import invalid
 from pixsim.light.spectral import (
@@ -67,7 +67,6 @@ BINS_OF_CODE, MAX_BINS = 128, 1 << 18  # of luminance; powers of two, as the num
 CODE_MARGIN = 1e-10  # of a luminance, far above the rounding of a power
 
 
-@checks_arguments
 def white_cd_per_m2(irradiance: SpectralImage, display: Display) -> float:
     """Return the scene luminance shown as display white: `display.white_cd_per_m2`, else the luminance of the scene's chart.
 
@@ -81,7 +80,6 @@ def white_cd_per_m2(irradiance: SpectralImage, display: Display) -> float:
     return float(white)
 
 
-@checks_arguments
 def white_light(irradiance: SpectralImage) -> tuple[Array, str]:
     """Return the light of the scene's white in the image's bands, (B,) in any unit, and its name: that of D65 if it is unknown.
 
@@ -99,19 +97,16 @@ def white_light(irradiance: SpectralImage) -> tuple[Array, str]:
     return irradiance.mean_spectrum(), "the mean of the picture, which D65 does not light"
 
 
-@checks_arguments
 def white_lx(irradiance: SpectralImage, camera: Camera, display: Display) -> float:
     """Return the illuminance on the sensor, on axis, from the scene's white. Raises PixsimError as `white_cd_per_m2` does."""
     return white_cd_per_m2(irradiance, display) * on_axis_sr(camera)
 
 
-@checks_arguments
 def on_axis_sr(camera: Camera) -> float:
     """Return the irradiance on the sensor, on axis, over the radiance of the scene, in sr."""
     return float(irradiance_factor(camera.f_number, 0.0, camera.magnification) * camera.transmittance)
 
 
-@checks_arguments
 def has_luminance(irradiance: SpectralImage) -> bool:
     """Whether the eye sees the light of the scene's white well enough for a luminance to say how much there is of it."""
     spectrum, _ = white_light(irradiance)
@@ -119,7 +114,6 @@ def has_luminance(irradiance: SpectralImage) -> bool:
     return bool(lumens > LEAST_LM_PER_W * watts)
 
 
-@checks_arguments
 def white_w_per_m2_sr(irradiance: SpectralImage, display: Display) -> float | None:
     """Return the scene radiance in W m⁻² sr⁻¹, a number, shown as display white: the display's, else that of light nobody sees.
 
@@ -137,7 +131,6 @@ def _white_radiance(header: Mapping[str, Any], display: Display) -> float | None
     return stated if isinstance(stated, float) and stated > 0 else None
 
 
-@checks_arguments
 def setting_of_white(header: Mapping[str, Any], display: Display) -> str:
     """Return the setting that states the white of light with a header, as the caller writes it.
 
@@ -148,7 +141,6 @@ def setting_of_white(header: Mapping[str, Any], display: Display) -> str:
     return f"{setting(f'display.{name}')}{instead}"
 
 
-@checks_arguments
 def white_rate(imaging: Imaging, irradiance: SpectralImage, channel: PixelPhysics | None = None) -> float:
     """Return the photo-electrons s⁻¹ µm⁻² of photodiode that the scene's white gives on axis.
 
@@ -180,7 +172,6 @@ def white_rate(imaging: Imaging, irradiance: SpectralImage, channel: PixelPhysic
     return rate
 
 
-@checks_arguments
 def dot_edges_um(
     size_um: tuple[Positive, Positive],
     pitch_um: Positive,
@@ -226,7 +217,6 @@ def dot_edges_um(
     return edges[0], edges[1]
 
 
-@checks_arguments
 def pixel_edges_um(length_um: Positive, count: Count, pitch_um: Positive, registration: float | None = None) -> Array:
     """Return the edges of a line of `count` pixels, (count + 1,), measured from the picture's edge.
 
@@ -237,14 +227,12 @@ def pixel_edges_um(length_um: Positive, count: Count, pitch_um: Positive, regist
     return first_edge_um(length_um, count, pitch_um, registration) + np.arange(count + 1.0) * pitch_um
 
 
-@checks_arguments
 def picture_size_um(irradiance: SpectralImage) -> tuple[float, float]:
     """Return the (height, width) of the picture on the sensor."""
     height, width = irradiance.shape
     return height * irradiance.pitch_um, width * irradiance.pitch_um
 
 
-@checks_arguments
 def average_axis(values: Array, pitch_um: Positive, low_um: float, edges_um: Row, degree: Degree, axis: AxisNumber) -> Array:
     """Return the means, over intervals along an axis, of cells interpolated through their centres.
 
@@ -323,7 +311,6 @@ def _mean_weights(n: int, pitch_um: float, low_um: float, edges_bytes: bytes, de
     return csr_array((weight[used].astype(np.float32 if single else float), value[used], rows), shape=(edges.size - 1, n))
 
 
-@checks_arguments
 def interpolation_mtf(frequency_cy_per_mm: Finites, pitch_um: Positive, interpolation: str) -> Array:
     """Return the MTF of the interpolation between pixel centres, (...) as the frequencies, 0 to 1.
 
@@ -351,7 +338,6 @@ def interpolation_mtf(frequency_cy_per_mm: Finites, pitch_um: Positive, interpol
     return np.asarray(np.abs(np.sinc(x)) ** (degree + 1) / samples)
 
 
-@checks_arguments
 def means_on_dots(picture: Picture, pitch_um: Positive, edges_um: tuple[Row, Row]) -> Array:
     """Return the means over dots of a picture.
 
@@ -369,7 +355,6 @@ def means_on_dots(picture: Picture, pitch_um: Positive, edges_um: tuple[Row, Row
     return picture
 
 
-@checks_arguments
 def ideal_luminance(imaging: Imaging, irradiance: SpectralImage, edges_um: tuple[Row, Row]) -> Array:
     """Return the relative luminance of each dot for an ideal sensor: no pixels, noise or quantisation, and no diffraction.
 
@@ -387,7 +372,6 @@ def ideal_luminance(imaging: Imaging, irradiance: SpectralImage, edges_um: tuple
     return np.maximum(rate, 0.0, out=rate)
 
 
-@checks_arguments
 def frame_luminance(
     frame: Frame,
     size_um: tuple[Positive, Positive],
@@ -415,7 +399,6 @@ def frame_luminance(
     return on_dots(picture, frame.pitch_um, size_um, display, edges_um, frame.registration)
 
 
-@checks_arguments
 def relative_to_white(
     picture: Picture, frame: Frame, white_e: Electrons, shading: Array | None = None, *, single: bool = False
 ) -> Array:
@@ -436,13 +419,11 @@ def relative_to_white(
     return picture.astype(np.float32) if single and fits_single(frame, white_e) else picture
 
 
-@checks_arguments
 def fits_single(frame: Frame, white_e: Electrons) -> bool:
     """Return whether all codes of a frame, in units of white (electrons), are far within the range of float32."""
     return 2.0**frame.bits / frame.dn_per_e + frame.mean_dark_e < MAX_SINGLE * white_e
 
 
-@checks_arguments
 def on_dots(
     picture: Picture,
     pitch_um: Positive,
@@ -471,7 +452,6 @@ def on_dots(
     return picture
 
 
-@checks_arguments
 def shown_luminance(relative_luminance: NumberArray, display: Display, *, in_place: bool = False) -> Array:
     """Return `relative_luminance` (...) as a display of finite bits and range shows it, in the same shape, 1 for white.
 
@@ -533,13 +513,11 @@ def _light_of_bins(gamma: float, top: int, single: bool) -> Array:
     return light.astype(np.float32) if single else light
 
 
-@checks_arguments
 def to_xyz(luminance: Picture) -> Array:
     """Return the XYZ of grey light on a D65 display, (H, W, 3) with white at Y = 100, for relative luminance (H, W). CIE 15."""
     return luminance[:, :, None] * WHITE_XYZ
 
 
-@checks_arguments
 def rgb_to_xyz(rgb: Array) -> Array:
     """Return the XYZ of light on the display, (..., 3) with white at Y = 100, for its primaries R, G, B (..., 3), 1 for white.
 
@@ -557,7 +535,6 @@ def rgb_to_xyz(rgb: Array) -> Array:
     return result
 
 
-@checks_arguments
 def out_of_gamut_share(rgb: Array) -> float:
     """Return the share of dots, 0 to 1, whose colour the display cannot show, for the light of its primaries (..., 3), 1 for white.
 

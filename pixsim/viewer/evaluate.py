@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
-from pixsim.base.arguments import Whole, checks_arguments
+from pixsim.base.bounds import Whole
 from pixsim.base.notes import Note, warn
 from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage
@@ -131,7 +131,6 @@ def with_numbers(score: S, metrics: Sequence[Metric], judged: FrameUnderTest | S
     return replace(score, metrics=first, further=numbers)
 
 
-@checks_arguments
 def evaluate(
     irradiance: SpectralImage,
     camera: Camera,

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from pixsim.base.arguments import checks_arguments
 from pixsim.base.arrays import Finites
 from pixsim.base.errors import invalid
 from pixsim.base.notes import Note, warn
@@ -19,7 +18,6 @@ from pixsim.viewer.score import Score
 from pixsim.viewer.screen import CLIPPED_WARNING, Screen, fraction_beyond_white, perceived_lab
 
 
-@checks_arguments
 def score_pictures(
     ideal: Finites,
     image: Finites,

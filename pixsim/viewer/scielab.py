@@ -23,8 +23,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 
-from pixsim.base.arguments import Positive, checks_arguments
 from pixsim.base.arrays import STRIP_DOTS, dct, empty_planes, first_where, inverse_dct, strips, strips_of
+from pixsim.base.bounds import Positive
 from pixsim.base.errors import invalid
 from pixsim.light.standard import OPPONENT_FROM_XYZ, XYZ_FROM_OPPONENT
 
@@ -208,7 +208,6 @@ CIE_LAB = (216 / 24389, 841 / 108, 24389 / 27)  # [CIE]: (6/29)^3, (29/6)^2 / 3,
 ZHANG1996_LAB = (0.008856, 7.787, 903.3)  # [1996]
 
 
-@checks_arguments
 def delta_e_map(
     reference_xyz: npt.ArrayLike,
     test_xyz: npt.ArrayLike,
@@ -242,7 +241,6 @@ def delta_e_map(
     return delta_e(lab(reference), lab(test), formula)
 
 
-@checks_arguments
 def filtered_lab(
     xyz: npt.ArrayLike, *, white_xyz: npt.ArrayLike, samples_per_deg: Positive, filters: Filters = "published", single: bool = False
 ) -> Planes:
@@ -265,7 +263,6 @@ def filtered_lab(
     return _assemble_strips(_iter_lab_strips(spectrum, view), spectrum)
 
 
-@checks_arguments
 def filtered_grey_lab(
     luminance: npt.ArrayLike,
     *,
@@ -287,7 +284,6 @@ def filtered_grey_lab(
     return _assemble_strips(_iter_lab_strips(spectrum, view, grey=True), spectrum)
 
 
-@checks_arguments
 def grey_delta_e_map(
     reference_lab: npt.ArrayLike,
     luminance: npt.ArrayLike,
@@ -312,7 +308,6 @@ def grey_delta_e_map(
     return _differences(reference_lab, _iter_lab_strips(spectrum, view, grey=True), spectrum)
 
 
-@checks_arguments
 def colour_delta_e_map(
     reference_lab: npt.ArrayLike,
     xyz: npt.ArrayLike,
@@ -405,7 +400,6 @@ def _assemble_strips(parts: Strips, spectrum: Planes) -> Planes:
     return np.moveaxis(planes, 0, -1)
 
 
-@checks_arguments
 def delta_e(lab_reference: npt.ArrayLike, lab_test: npt.ArrayLike, formula: Formula = "1976") -> Floats:
     """Return the colour difference of each sample, (...), between two CIELAB arrays (..., 3).
 
@@ -443,7 +437,6 @@ def _distance(first: Planes, second: Lab, out: Floats) -> float:
     return float(squared.max())
 
 
-@checks_arguments
 def xyz_to_lab(xyz: npt.ArrayLike, white_xyz: npt.ArrayLike) -> Floats:
     """Return the CIELAB [CIE], (..., 3), of unfiltered xyz (..., 3) under white_xyz (3,) in the same unit.
 

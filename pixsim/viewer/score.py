@@ -9,8 +9,8 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from pixsim.base.arguments import Bounds, NotNegative, checks_fields
 from pixsim.base.arrays import Array
+from pixsim.base.bounds import Bounds, NotNegative
 from pixsim.base.digits import exposure_time
 from pixsim.base.errors import invalid
 from pixsim.base.notes import Note
@@ -71,7 +71,6 @@ class LightError:
 NOT_MEASURED = LightError()
 
 
-@checks_fields
 @dataclass(frozen=True)
 class Score(Result):
     """A picture as shown to a viewer, and its difference from the ideal one, by S-CIELAB and by further metrics.
@@ -114,7 +113,6 @@ class Score(Result):
         return f"<Score mean ΔE {self.mean_delta_e:.4f}, {' × '.join(map(str, self.delta_e.shape))} dots>"
 
 
-@checks_fields
 @dataclass(frozen=True)
 class FrameScore(Score):
     """The score of a sensor's frame.

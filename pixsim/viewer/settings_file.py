@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pixsim.base.arguments import checks_arguments
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.layers import Layer, listed, plain_tables
 from pixsim.base.notes import Note, warn
@@ -107,7 +106,6 @@ def run_settings(config: str | os.PathLike[str] | Sequence[str | os.PathLike[str
     return settings
 
 
-@checks_arguments
 def load_pixel(file: str | os.PathLike[str]) -> Pixel:
     """Return the pixel of a sensor's settings file, or of a packaged sensor by its name: for `evaluate` and `sweep`.
 

@@ -10,13 +10,12 @@ import math
 import numpy as np
 import scipy  # whose parts are imported when they are used
 
-from pixsim.base.arguments import NotNegative, Positive, checks_arguments
 from pixsim.base.arrays import Array, Finites, Picture
+from pixsim.base.bounds import NotNegative, Positive
 
 TRUNCATED = 4.0  # standard deviations, beyond which 6e-5 of a Gaussian lies
 
 
-@checks_arguments
 def gaussian_taps(sigma_px: Positive) -> Array:
     """Return the weights of a sampled Gaussian, (2n + 1,), which add up to 1, to 4 standard deviations on either side.
 
@@ -27,7 +26,6 @@ def gaussian_taps(sigma_px: Positive) -> Array:
     return np.asarray(taps / taps.sum())
 
 
-@checks_arguments
 def unsharp_mask(picture: Picture, amount: NotNegative, sigma_px: Positive) -> Array:
     """Return p + a(p - blur of p), (rows, columns), in the precision of the picture p, which is reflected beyond its edges.
 
@@ -41,7 +39,6 @@ def unsharp_mask(picture: Picture, amount: NotNegative, sigma_px: Positive) -> A
     return np.asarray(picture * picture.dtype.type(1 + amount) - blurred * picture.dtype.type(amount))
 
 
-@checks_arguments
 def unsharp_response(frequency_cy_per_px: Finites, amount: NotNegative, sigma_px: Positive) -> Array:
     """Return the response of an unsharp mask along an axis, (...) as the frequencies, 1 at 0: that of its sampled blur.
 
@@ -54,7 +51,6 @@ def unsharp_response(frequency_cy_per_px: Finites, amount: NotNegative, sigma_px
     return np.asarray(1 + amount * (1 - blur))
 
 
-@checks_arguments
 def unsharp_products(amount: NotNegative, sigma_px: Positive) -> tuple[tuple[float, tuple[float, ...]], ...]:
     """Return the autocorrelation of an unsharp mask's weights as a sum of products: factors, and weights along either axis.
 
@@ -66,7 +62,6 @@ def unsharp_products(amount: NotNegative, sigma_px: Positive) -> tuple[tuple[flo
     return tuple((factor, tuple(weights.tolist())) for factor, weights in parts)
 
 
-@checks_arguments
 def noise_gain(amount: NotNegative, sigma_px: Positive) -> float:
     """Return by how much an unsharp mask amplifies the standard deviation of white noise.
 

@@ -14,8 +14,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pixsim.base.arguments import Positive, checks_arguments
 from pixsim.base.arrays import Array, Numbers, mixed
+from pixsim.base.bounds import Positive
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display import WHITE_XYZ, XYZ_FROM_RGB
 from pixsim.viewer.display_options import Display
@@ -23,7 +23,6 @@ from pixsim.viewer.display_options import Display
 SRGB_LINEAR_TO, SRGB_SLOPE, SRGB_SCALE, SRGB_OFFSET, SRGB_GAMMA = 0.0031308, 12.92, 1.055, 0.055, 2.4
 
 
-@checks_arguments
 def srgb_value(light: Numbers) -> Array:
     """Return the value of sRGB (IEC 61966-2-1), 0 to 1, (...) as the light, which is clipped to 0 … 1.
 
@@ -35,7 +34,6 @@ def srgb_value(light: Numbers) -> Array:
     return np.asarray(np.where(inside <= SRGB_LINEAR_TO, SRGB_SLOPE * inside, curved))
 
 
-@checks_arguments
 def reinhard(luminance: Numbers, white: Positive) -> Array:
     """Return the shown luminance L(1 + L/w²)/(1 + L), (...) as the luminance L: 1 at w. What is below 0 stays as it is.
 

@@ -21,7 +21,8 @@ from numpy.typing import ArrayLike
 from pydantic import Field, TypeAdapter, ValidationError, create_model
 
 import pixsim
-from pixsim.base.arguments import LARGEST, POSITIVE, SMALLEST, check_of
+from pixsim.base import door
+from pixsim.base.bounds import LARGEST, POSITIVE, SMALLEST
 from pixsim.base.errors import PixsimError
 from pixsim.base.records import Record
 from pixsim.optics.camera import Camera
@@ -104,19 +105,29 @@ def test_every_number_is_bounded_on_both_sides() -> None:
     assert open_ends == []
 
 
+def checked_as(hint: Any) -> Callable[[Any], Any]:
+    """A public function that returns its argument."""
+
+    def value_of(pitch_um: Any) -> Any:
+        return pitch_um
+
+    value_of.__annotations__["pitch_um"] = hint
+    return door.checked(value_of, "pixsim.value_of")
+
+
 @pytest.mark.parametrize("bounds", [POSITIVE, Field(gt=0)], ids=["function", "record"])
 @pytest.mark.parametrize("value", [1e-320, 5e-324, 9e-31, -1e-320, 0.0])
 def test_arguments_above_0_are_not_tiny(bounds: Any, value: float) -> None:
     """Also in arrays; 1e-30 is the smallest."""
     for kind, given in ((float, value), (ArrayLike, [1.0, value]), (tuple[float, float], (1.0, value))):
         with pytest.raises(PixsimError, match=r"pitch_um.*: got .*allowed: .*a? ?finite number.* above 0 \(1e-30 or more\)"):
-            check_of(Annotated[kind, bounds])("pitch_um", given)
-        check_of(Annotated[kind, bounds])("pitch_um", 1e-30 if kind is float else (1.0, 1e-30))
+            checked_as(Annotated[kind, bounds])(given)
+        checked_as(Annotated[kind, bounds])(1e-30 if kind is float else (1.0, 1e-30))
 
 
 @pytest.mark.parametrize("field", [Field(ge=2, le=3), Field(gt=1.5, lt=3.5), Field(ge=2, lt=3.5)])
 def test_functions_share_the_bounds_of_records(field: Any) -> None:
-    check = check_of(Annotated[float, field])
+    check = checked_as(Annotated[float, field])
     record = create_model("Shared", __base__=Record, number=(Annotated[float, field], 2.0))
 
     def refuses(call: Callable[[], object]) -> bool:
@@ -127,7 +138,7 @@ def test_functions_share_the_bounds_of_records(field: Any) -> None:
         return False
 
     for value in (1.5, 2.0, 2.5, 3.0, 3.5, math.nan):
-        assert refuses(partial(check, "number", value)) == refuses(partial(record, number=value)), value
+        assert refuses(partial(check, value)) == refuses(partial(record, number=value)), value
 
 
 def test_no_lower_bound_lets_tiny_numbers_through() -> None:

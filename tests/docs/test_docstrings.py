@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 from helpers.public_names import CLASSES, PUBLIC, fields
 
-from pixsim.base.arguments import without_bounds
+from pixsim.base.bounds import without_bounds
 from pixsim.base.records import Record
 
 # Units at the end of names.

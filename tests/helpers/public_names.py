@@ -28,7 +28,7 @@ def results() -> dict[str, type]:
     """Classes of pixsim that public functions return, and records of settings, by their full name."""
     classes: dict[str, type] = {}
     for name in pixsim.__all__:
-        function = getattr(pixsim, name)
+        function = inspect.unwrap(getattr(pixsim, name))
         if inspect.isfunction(function):
             scope = vars(sys.modules[function.__module__])
             for each in str(function.__annotations__.get("return")).split(" | "):

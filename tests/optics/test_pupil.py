@@ -38,9 +38,3 @@ def test_pupils_up_to_the_horizon_only(chief_deg):
     disc_pupil(most * (1 - 1e-6), chief_deg, 10.0)
     with pytest.raises(PixsimError, match=r"pupil: got direction cosines up to 1 .*below 1, the horizon"):
         disc_pupil(min(most * (1 + 3e-6), 1.0), chief_deg, 10.0)
-
-
-def test_invalid_pupils_raise():
-    for wrong, name in (((-0.1,), "numerical_aperture"), ((0.1, 90.0), "chief_ray_deg"), ((0.1, 0.0, np.nan), "azimuth_deg")):
-        with pytest.raises(PixsimError, match=f"{name}: got"):
-            disc_pupil(*wrong)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.light.exr import read_channels
 from pixsim.scene import charts
@@ -162,7 +163,7 @@ def test_make_chart_other_die_keeps_frequencies():
 )
 def test_make_chart_invalid_arguments_raise(arguments, message):
     with pytest.raises(PixsimError, match=message):
-        charts.make_chart(**arguments)
+        pixsim.charts.make_chart(**arguments)
 
 
 def test_write_chart_other_ending_raises(tmp_path):

@@ -100,15 +100,6 @@ def test_diffused_shares_of_a_pixel():
     assert diffused_shares(2.2, 1.3, 1e-6, 0.0, 1e-3)[2, 2] == pytest.approx(1, abs=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("wrong", "name"), [((2.2, 1.3, 0.0, 1.0, 20.0), "absorption_per_um"), ((2.2, 1.3, 0.6, -1.0, 20.0), "depletion_um"),
-                        ((2.2, 1.3, 0.6, 1.0, 0.0), "diffusion_length_um"), ((0.0, 1.3, 0.6, 1.0, 20.0), "pitch_um")]
-)  # fmt: skip
-def test_invalid_diffusion_raises(wrong, name):
-    with pytest.raises(PixsimError, match=f"{name}: got"):
-        diffused_shares(*wrong)
-
-
 def test_spread_shares_is_a_convolution_that_loses_what_leaves_the_kernel():
     rng = np.random.default_rng(5)
     optical, diffused = rng.uniform(0, 0.04, (3, 5, 5)), rng.uniform(0, 0.04, (5, 5))

@@ -67,18 +67,3 @@ def test_invalid_spreads_raise():
             DarkSpread(**{"dsnu": 0.1} | wrong)
     with pytest.raises(PixsimError, match="hot_median: got 0; allowed: above 0"):
         DarkSpread(0.1, 1.0, 0.0)
-
-
-@pytest.mark.parametrize(
-    ("function", "wrong", "name"),
-    [
-        (prnu_of_area, (-0.1, 1.0), "prnu_um"),
-        (prnu_of_area, (0.1, 0.0), "area_um2"),
-        (follower_offset_e, (1.0, 0.0, 1.0), "follower_area_um2"),
-        (follower_offset_e, (1.0, 1.0, 0.0), "node_capacitance_ff"),
-        (dark_current_of_geometry_e_per_s, (1.0, -1.0, 1.0, 4.0), "perimeter_na_per_cm"),
-    ],
-)
-def test_invalid_geometry_raises(function, wrong, name):
-    with pytest.raises(PixsimError, match=f"{name}: got"):
-        function(*wrong)

@@ -15,6 +15,7 @@ import pytest
 from scipy.constants import c as light_speed, h as planck
 from scipy.stats import norm, poisson
 
+import pixsim
 from pixsim.base import arrays
 from pixsim.base.errors import PixsimError
 from pixsim.light.spectral import SpectralImage
@@ -549,4 +550,4 @@ def test_full_well_below_the_smallest_numbers_raises():
 )
 def test_make_sensor_invalid_arguments_raise(pixel, camera, options, message):
     with pytest.raises(PixsimError, match=message):
-        sensors.make_sensor(Pixel(**pixel), Camera(**camera), **options)
+        pixsim.make_sensor(Pixel(**pixel), Camera(**camera), **options)

@@ -35,8 +35,3 @@ def test_none_keeps_chromaticities_and_scales_luminance() -> None:
 def test_invalid_white_raises(white: object) -> None:
     with pytest.raises(PixsimError, match="to_white_xyz"):
         adaptation_matrix(A, white, "bradford")
-
-
-def test_unknown_method_raises() -> None:
-    with pytest.raises(PixsimError, match="'cat02'"):
-        adaptation_matrix(A, D65, "cat16")

@@ -255,7 +255,6 @@ def test_light_of_one_wavelength_has_rank_one() -> None:
         ("noise_aware", np.zeros((3, 3)), "covariance, shape"),
         ("noise_aware", np.broadcast_to(-np.eye(3), (18, 3, 3)), "negative variances"),
         ("noise_aware", np.broadcast_to(np.triu(np.ones((3, 3))), (18, 3, 3)), "asymmetry"),
-        ("exact", None, "method"),
     ],
 )
 def test_invalid_covariance_raises(method: str, covariance: np.ndarray | None, says: str) -> None:

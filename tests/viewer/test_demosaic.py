@@ -206,7 +206,7 @@ def test_covariance_of_large_dots_is_that_of_all_their_pixels() -> None:
 )
 def test_invalid_pattern_or_method_raises(pattern: object, method: str, says: str) -> None:
     with pytest.raises(PixsimError) as error:
-        demosaic(np.ones((32, 32)), pattern, method)
+        pixsim.demosaic(np.ones((32, 32)), pattern, method)
     assert says in str(error.value)
 
 

@@ -16,8 +16,8 @@ from typing import Annotated
 
 import numpy as np
 
-from pixsim.base.arguments import Bounds, checks_arguments
 from pixsim.base.arrays import Array, Finites, NotNegatives
+from pixsim.base.bounds import Bounds
 
 LARGEST_VARIANCE_E2 = 1e18  # beyond which z + σ² has no digits for z
 GaussianVariance = Annotated[float, Bounds(0, LARGEST_VARIANCE_E2)]
@@ -29,7 +29,6 @@ TABLE_STEP = 0.02  # of f: interpolation between such values errs by less than 1
 TABLE_END = 2e3  # of f, a million electrons: beyond, the correction is constant within 1e-6 e-
 
 
-@checks_arguments
 def forward(signal_e: Finites, gaussian_variance_e2: GaussianVariance) -> Array:
     """Return 2 √(z + 3/8 + σ²), the values (...) whose noise has nearly variance 1; 0 where the root has none.
 
@@ -47,7 +46,6 @@ def forward(signal_e: Finites, gaussian_variance_e2: GaussianVariance) -> Array:
     return values
 
 
-@checks_arguments
 def inverse(values: Finites, gaussian_variance_e2: GaussianVariance) -> Array:
     """Return the mean electrons λ, (...), of which the expectation of `forward` is each value.
 
@@ -71,7 +69,6 @@ def inverse(values: Finites, gaussian_variance_e2: GaussianVariance) -> Array:
     return np.asarray(np.where(below, slope * (values - knots[0]), base)) if below.any() else np.asarray(base)
 
 
-@checks_arguments
 def moments(mean_e: NotNegatives, gaussian_variance_e2: GaussianVariance) -> tuple[Array, Array]:
     """Return the expectation and the variance of `forward` over Poisson electrons with Gaussian noise, (...) each.
 

@@ -18,8 +18,8 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from pixsim.base.arguments import FINITE, Axes, NotNegative, checks_arguments
 from pixsim.base.arrays import Array, first_where
+from pixsim.base.bounds import FINITE, Axes, NotNegative
 from pixsim.base.errors import PixsimError, invalid, one_line
 from pixsim.viewer.denoising import anscombe
 
@@ -38,7 +38,6 @@ def lacks_packages() -> str:
     return "scikit-image and PyWavelets: pip install 'pixsim[denoise]'" if missing else ""
 
 
-@checks_arguments
 def denoised_plane(
     raw_e: Annotated[Array, FINITE, Axes(2)],
     gaussian_variance_e2: anscombe.GaussianVariance,

@@ -15,15 +15,14 @@ from typing import Annotated
 
 import numpy as np
 
-from pixsim.base.arguments import FINITE, NOT_NEGATIVE, Axes, NotNegative, checks_arguments
 from pixsim.base.arrays import Array, dct, inverse_dct
+from pixsim.base.bounds import FINITE, NOT_NEGATIVE, Axes, NotNegative
 from pixsim.base.errors import invalid
 
 Plane = Annotated[Array, FINITE, Axes(2)]
 Power = Annotated[Array, NOT_NEGATIVE, Axes(2)]
 
 
-@checks_arguments
 def signal_power(plane: Plane) -> Array:
     """Return the squares of the orthonormal DCT-II coefficients of a picture without noise, (H, W), in its unit squared."""
     power = dct(plane, in_place=False)  # 2 Σ cos along each axis
@@ -34,7 +33,6 @@ def signal_power(plane: Plane) -> Array:
     return power
 
 
-@checks_arguments
 def noise_power(variance: Power, *, column_variance: NotNegative = 0.0, row_variance: NotNegative = 0.0) -> Array:
     """Return the variances of the orthonormal DCT-II coefficients of noise, (H, W), in the unit of the variances.
 
@@ -67,7 +65,6 @@ def _at_doubled(cosines: Array, axis: int) -> Array:
     return np.moveaxis(result, 0, axis)
 
 
-@checks_arguments
 def response(signal: Power, noise: Power) -> Array:
     """Return the factors S/(S + N) of the coefficients, (H, W); 1 where there is neither picture nor noise.
 
@@ -80,7 +77,6 @@ def response(signal: Power, noise: Power) -> Array:
     return np.divide(signal, total, out=np.ones_like(total), where=total > 0)
 
 
-@checks_arguments
 def mean_square_error(signal: Power, noise: Power) -> float:
     """Return the mean square error of a pixel behind the filter, the mean of S N/(S + N), in the unit of the powers.
 
@@ -92,7 +88,6 @@ def mean_square_error(signal: Power, noise: Power) -> float:
     return float((response(signal, noise) * noise).mean())
 
 
-@checks_arguments
 def filtered(plane: Plane, factors: Plane) -> Array:
     """Return a picture (H, W) whose DCT-II coefficients are multiplied by factors (H, W).
 
@@ -104,7 +99,6 @@ def filtered(plane: Plane, factors: Plane) -> Array:
     return inverse_dct(coefficients)
 
 
-@checks_arguments
 def wiener_plane(
     raw_e: Plane,
     expected_e: Plane,

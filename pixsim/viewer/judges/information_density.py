@@ -14,8 +14,8 @@ from typing import Annotated
 
 import numpy as np
 
-from pixsim.base.arguments import FINITE, Axes, Bounds, NotNegative, Positive, check_broadcast, checks_arguments
 from pixsim.base.arrays import Array, Finites, NotNegatives, Positives, values_of
+from pixsim.base.bounds import FINITE, Axes, Bounds, NotNegative, Positive, check_broadcast
 from pixsim.base.errors import invalid
 
 UM_PER_MM = 1e3
@@ -51,7 +51,6 @@ def axis_weights(frequency: Array) -> Array:
     raise invalid("frequency_cy_per_mm", got, "rising frequencies from -Nyquist or 0 to the Nyquist frequency", hint)
 
 
-@checks_arguments
 def information_bits_per_mm2(
     frequency_cy_per_mm: Axis, signal: NotNegatives, noise: Positives, folded: NotNegatives = 0.0
 ) -> float:
@@ -80,7 +79,6 @@ def information_bits_per_mm2(
     return float(((np.broadcast_to(bits, (count, count)) * weights).sum(axis=1) * weights).sum() / 2)
 
 
-@checks_arguments
 def natural_spectrum(frequency_cy_per_mm: Finites, level: NotNegative, corner_cy_per_mm: Positive) -> Array:
     """Return the spectrum C/(f² + f₀²) of natural scenes, (...) as the frequencies, in the unit of C times mm².
 
@@ -94,7 +92,6 @@ def natural_spectrum(frequency_cy_per_mm: Finites, level: NotNegative, corner_cy
         return np.asarray(level / (np.asarray(frequency_cy_per_mm, float) ** 2 + corner_cy_per_mm**2))
 
 
-@checks_arguments
 def radial_spectrum(picture: Annotated[Array, FINITE, Axes(2)], pitch_um: Positive) -> tuple[Array, Array]:
     """Return the spectrum of a picture over all directions: frequencies (n,) in cy/mm, and power (n,), its unit squared times mm².
 
@@ -128,7 +125,6 @@ def radial_spectrum(picture: Annotated[Array, FINITE, Axes(2)], pitch_um: Positi
     return np.arange(1, count.size) * ring_px / pitch_mm, total[1:] / count[1:]
 
 
-@checks_arguments
 def folded_spectrum(
     power: Callable[[Array, Array], Array],
     frequency_cy_per_mm: Axis,
@@ -154,7 +150,6 @@ def folded_spectrum(
     return folded
 
 
-@checks_arguments
 def neq(mtf: Finites, noise_power: Positives, mean: NotNegative) -> Array:
     """Return the noise-equivalent quanta, mean² |T|²/N, per unit area; it has the shape to which MTF and noise broadcast.
 

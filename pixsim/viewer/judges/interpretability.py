@@ -7,8 +7,8 @@ from typing import Annotated
 
 import numpy as np
 
-from pixsim.base.arguments import Bounds, Positive, checks_arguments
 from pixsim.base.arrays import NotNegativeArray
+from pixsim.base.bounds import Bounds, Positive
 from pixsim.viewer.judges.sharpness import Frequencies, curve_from_0
 
 M_PER_INCH = 0.0254
@@ -17,7 +17,6 @@ MAX_RER = 10.0  # far above any: sharpened pictures of the fit reach 1.3
 EdgeResponse = Annotated[float, Bounds(0, MAX_RER, open_low=True)]
 
 
-@checks_arguments
 def niirs(rer: EdgeResponse, ground_m: Positive, snr: Positive) -> float:
     """Return the National Imagery Interpretability Rating of a picture taken straight down, a number on its scale of 0 to 9.
 
@@ -38,7 +37,6 @@ def niirs(rer: EdgeResponse, ground_m: Positive, snr: Positive) -> float:
     return 9.57 - 3.32 * math.log10(ground_m / M_PER_INCH) + of_edge - 1.8 / snr
 
 
-@checks_arguments
 def relative_edge_response(frequency_cy_per_px: Frequencies, mtf: NotNegativeArray) -> float:
     """Return the rise of a unit edge within half a pixel on either side of it, 2 ∫ MTF(f) sinc(f) df, a number, 1 for no blur.
 

@@ -23,8 +23,8 @@ from typing import Annotated
 
 import numpy as np
 
-from pixsim.base.arguments import FINITE, LARGEST, NOT_NEGATIVE, Axes, Bounds, NotNegative, checks_arguments
 from pixsim.base.arrays import Array
+from pixsim.base.bounds import FINITE, LARGEST, NOT_NEGATIVE, Axes, Bounds, NotNegative
 from pixsim.base.errors import invalid
 
 STEPS_PER_OFFSET = 4  # of conjugate gradients, at most: in exact arithmetic one would do
@@ -35,7 +35,6 @@ Variance = Annotated[Array, Bounds(0, open_low=True, infinite=True)]
 Slopes = Annotated[Array, NOT_NEGATIVE]
 
 
-@checks_arguments
 def detectability(
     difference: Difference,
     variance: Variance,

@@ -12,8 +12,8 @@ from typing import Annotated
 
 import numpy as np
 
-from pixsim.base.arguments import FINITE, NOT_NEGATIVE, Axes, Positive, checks_arguments
 from pixsim.base.arrays import Array
+from pixsim.base.bounds import FINITE, NOT_NEGATIVE, Axes, Positive
 from pixsim.base.errors import invalid
 
 EYE_POWER = 1.3
@@ -31,7 +31,6 @@ def eye_filter(shape: tuple[int, ...], samples_per_deg: float) -> Array:
         return np.asarray(frequency**EYE_POWER * np.exp(-EYE_DECAY * frequency**2))
 
 
-@checks_arguments
 def npwe_template(difference: Difference, samples_per_deg: Positive) -> Array:
     """Return what the observer multiplies a picture with and sums, (H, W) relative: the difference, twice through the eye's filter.
 
@@ -45,7 +44,6 @@ def npwe_template(difference: Difference, samples_per_deg: Positive) -> Array:
     return np.asarray(np.fft.ifft2(np.fft.fft2(difference) * gain).real)
 
 
-@checks_arguments
 def npwe(difference: Difference, noise_power: Annotated[Array, NOT_NEGATIVE], samples_per_deg: Positive) -> float:
     """Return d′, the ratio of signal to noise of the NPWE observer, for noise that is the same all over the picture.
 

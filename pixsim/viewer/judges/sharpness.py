@@ -8,8 +8,8 @@ from typing import Annotated
 import numpy as np
 from scipy.special import gammainc
 
-from pixsim.base.arguments import FINITE, NOT_NEGATIVE, Axes, Bounds, checks_arguments
 from pixsim.base.arrays import Array, NotNegativeArray, NotNegatives
+from pixsim.base.bounds import FINITE, NOT_NEGATIVE, Axes, Bounds
 from pixsim.base.errors import invalid
 
 # Contrast sensitivity 75 ν^0.8 e^(-0.2 ν)/34.05, ν in cy/deg, of IEEE 1858 and ISO 15739:2013, annex B: 3 at its peak, 4 cy/deg.
@@ -44,7 +44,6 @@ def first_crossing(frequency: Array, sfr: Array, level: float) -> float | None:
     return float(frequency[left] + (sfr[left] - level) / (sfr[left] - sfr[right]) * (frequency[right] - frequency[left]))
 
 
-@checks_arguments
 def mtf50(frequency: Frequencies, mtf: NotNegativeArray) -> float | None:
     """Return the frequency at which an MTF first falls to one half, in its unit, linear between frequencies; None if it does not.
 
@@ -61,7 +60,6 @@ def luminance_csf(frequency_cy_per_deg: Array) -> Array:
     return CSF_SCALE * frequency_cy_per_deg**CSF_POWER * np.exp(-CSF_DECAY * frequency_cy_per_deg)
 
 
-@checks_arguments
 def acutance(frequency_cy_per_deg: Frequencies, mtf: NotNegativeArray) -> float:
     """Return ∫ MTF · CSF/∫ CSF, a number from 0 to 1 for a picture that is not sharpened. CPIQ, IEEE 1858.
 
@@ -84,7 +82,6 @@ def acutance(frequency_cy_per_deg: Frequencies, mtf: NotNegativeArray) -> float:
     return float((mtf[:-1] * share + slope * (moment - frequency[:-1] * share)).sum())
 
 
-@checks_arguments
 def edge_mtf(
     picture: Annotated[Array, FINITE, Axes(2)],
     angle_deg: Annotated[float, Bounds(-STEEPEST_DEG, STEEPEST_DEG)],

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from typing import Annotated
 
-from pixsim.base.arguments import Bounds, NotNegative, Positive, checks_arguments
+from pixsim.base.bounds import Bounds, NotNegative, Positive
 from pixsim.sensor.noise import signal_at_snr_e
 
 Reflectance = Annotated[float, Bounds(0, 1, open_low=True)]
 Saturation = Annotated[float, Bounds(0, open_low=True, infinite=True)]
 
 
-@checks_arguments
 def snr10_lx(
     white_e: Positive,
     white_cd_per_m2: Positive,

@@ -15,8 +15,8 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pixsim.base.arguments import FINITE, Positive, checks_arguments
 from pixsim.base.arrays import Array, dct, empty_planes, inverse_dct, mixed
+from pixsim.base.bounds import FINITE, Positive
 from pixsim.base.errors import invalid
 from pixsim.viewer.display import WHITE_XYZ
 from pixsim.viewer.judges.sharpness import luminance_csf
@@ -32,7 +32,6 @@ CHROMA = (
 )
 
 
-@checks_arguments
 def visual_noise(picture: Annotated[Array, FINITE], samples_per_deg: Positive, white_xyz: ArrayLike | None = None) -> float:
     """Return σ(L*) + 0.852 σ(u*) + 0.323 σ(v*) of an even patch behind the eye's filters, a number in units of CIELUV. [ISO]
 

@@ -1,0 +1,343 @@
+"""The door of pixsim: arguments of its public functions are checked by pydantic before any of them is used.
+
+`pixsim` and its public modules hand out their functions through `checked`. Inside pixsim, functions are called as they are, and
+trust their callers. What depends on several arguments is checked where they are used.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+import numbers
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache, wraps
+from types import ModuleType, NoneType, UnionType
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from pixsim.base.bounds import FINITE, SMALLEST, Axes, Bounds, brief, field_bounds
+from pixsim.base.errors import PixsimError, invalid
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
+    from pydantic_core import ErrorDetails
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+Class = TypeVar("Class", bound=type)
+WRONG_CALLS = ("missing_argument", "missing_keyword_only_argument", "unexpected_keyword_argument", "unexpected_positional_argument",
+               "multiple_argument_values", "positional_only_argument")  # fmt: skip
+OURS = "allowed"  # the kind of error of the validators below
+
+
+def checked(function: Function, name: str) -> Function:
+    """Return a public function whose arguments are checked by their annotations; lists and numbers become arrays.
+
+    It raises PixsimError that names the first argument at fault, with what was got and what is allowed. The check is built at the
+    first call, so that imports take no time.
+
+    name : under which users import it, such as `pixsim.render`
+    """
+
+    @wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        from pydantic import ValidationError
+
+        try:
+            values, named = _arguments(function)(*args, **kwargs)
+        except ValidationError as error:
+            problem = _first_problem(function, error, args, kwargs)
+        else:
+            # The defaults, which pydantic adds, are those of the function itself.
+            return function(*values[: len(args)], **{key: named[key] for key in kwargs})
+        raise problem
+
+    call.__module__, _, call.__qualname__ = name.rpartition(".")  # by which it is pickled
+    return call  # type: ignore[return-value]
+
+
+def checked_methods(kind: Class) -> Class:
+    """Check the arguments of the public methods of a class that users have in hand, and of a constructor that it defines itself."""
+    for name, value in list(vars(kind).items()):
+        function = value.__func__ if isinstance(value, classmethod) else value
+        if not inspect.isfunction(function) or (name.startswith("_") and name != "__init__") or not _takes_arguments(function):
+            continue
+        method = checked(function, f"{kind.__module__}.{kind.__qualname__}.{name}")
+        method.__module__, method.__qualname__ = function.__module__, function.__qualname__
+        setattr(kind, name, classmethod(method) if isinstance(value, classmethod) else method)
+    return kind
+
+
+def _takes_arguments(function: Callable[..., Any]) -> bool:
+    return len(inspect.signature(function).parameters) > 1
+
+
+@cache
+def public(thing: Any, name: str) -> Any:
+    """Return what users get of a name of pixsim: a function with its checks, all else as it is."""
+    return checked(thing, name) if inspect.isfunction(thing) else thing
+
+
+def public_module(name: str, module: ModuleType) -> ModuleType:
+    """Return a module of pixsim as users see it under a shorter name: its public names, functions with their checks.
+
+    name : under which users find it, such as `pixsim.scielab`
+    """
+    face = ModuleType(name, module.__doc__)
+    names = getattr(module, "__all__", None) or [key for key, value in vars(module).items() if _is_public(key, value, module)]
+    face.__all__ = list(names)  # type: ignore[attr-defined]
+    face.__getattr__ = lambda key: public(getattr(module, key), f"{name}.{key}")  # type: ignore[method-assign]
+    return face
+
+
+def _is_public(key: str, value: Any, module: ModuleType) -> bool:
+    return not key.startswith("_") and getattr(value, "__module__", None) == module.__name__
+
+
+@cache
+def _arguments(function: Callable[..., Any]) -> Callable[..., tuple[tuple[Any, ...], dict[str, Any]]]:
+    """Return a function of the same arguments that returns them as they should be used. Raises pydantic's ValidationError."""
+    from pydantic import ConfigDict, validate_call
+
+    def arguments(*args: Any, **kwargs: Any) -> tuple[tuple[Any, ...], dict[str, Any]]:
+        return args, kwargs
+
+    hints = get_type_hints(_Annotated(function), include_extras=True)
+    arguments.__annotations__ = {name: _type(hint) for name, hint in hints.items()}
+    arguments.__signature__ = inspect.signature(function)  # type: ignore[attr-defined]
+    return validate_call(config=ConfigDict(arbitrary_types_allowed=True, strict=True))(arguments)
+
+
+class _Annotated:
+    """The annotations of a function's arguments without that of its result, which only the type checker may know."""
+
+    def __init__(self, function: Any) -> None:
+        function = inspect.unwrap(function)
+        self.__annotations__ = {name: hint for name, hint in function.__annotations__.items() if name != "return"}
+        self.__globals__ = function.__globals__
+
+
+def _type(hint: Any, bounds: Bounds | None = None, axes: int | None = None) -> Any:
+    """Return what pydantic checks in place of an annotation: numbers, arrays and paths by the validators below.
+
+    bounds, axes : of a quantity, and of an array, that an annotation around this one states
+    """
+    import numpy as np
+    from numpy.typing import ArrayLike
+
+    hint = _without_alias(hint) if hint is not ArrayLike else hint
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        kind, *stated = inner
+        axes = next((part.count for part in stated if isinstance(part, Axes)), axes)
+        return _type(kind, field_bounds(stated) or bounds, axes)
+    if hint is ArrayLike or origin is np.ndarray:
+        dtype = get_args(inner[1])[0] if origin is np.ndarray and get_args(inner[1]) else None
+        return _validated(_array_of(bounds, axes, dtype, is_array=origin is np.ndarray))
+    if origin in (Union, UnionType):
+        return _union(inner, bounds)
+    if hint in (float, int):
+        return _validated(_number_of(hint, bounds or FINITE))
+    if hint is bool:
+        return _validated(_bool)
+    if hint is os.PathLike or origin is os.PathLike:
+        return _validated(_path)
+    if hint is Callable or origin in (Callable, get_origin(Callable[[], None])):
+        return _validated(_callable)
+    if origin is tuple:
+        return Annotated[tuple[tuple(part if part is Ellipsis else _type(part, bounds) for part in inner)], _lax()]  # type: ignore[misc]
+    if origin in (get_origin(Sequence[int]), get_origin(Iterable[int])):
+        return Annotated[list[_type(inner[0], bounds)], _listed(), _lax()]  # type: ignore[misc]
+    if origin in (dict, get_origin(Mapping[str, int])):
+        return Annotated[dict[str, _type(inner[1], bounds)], _lax()]  # type: ignore[misc]
+    if inspect.isclass(hint) and hint not in (str, object, Any):
+        from pydantic import InstanceOf
+
+        return InstanceOf[hint]  # type: ignore[misc]
+    return hint
+
+
+def _union(kinds: Sequence[Any], bounds: Bounds | None) -> Any:
+    """Return the union of what is checked; a path may be a text, and NumPy's `ArrayLike` is an array."""
+    from numpy.typing import ArrayLike
+
+    of_arrays = set(get_args(ArrayLike)) or {ArrayLike}
+    if of_arrays <= set(kinds):
+        kinds = [ArrayLike, *(kind for kind in kinds if kind not in of_arrays)]
+    if any((get_origin(kind) or kind) is os.PathLike for kind in kinds):
+        kinds = [kind for kind in kinds if kind is not str]
+    return Union[tuple(kind if kind is NoneType else _type(kind, bounds) for kind in kinds)]  # noqa: UP007  # of many
+
+
+def _without_alias(hint: Any) -> Any:
+    """Return the type that an alias of a `type` statement stands for, as NumPy's `NDArray` is one from 2.5 on."""
+    stands_for, inner = getattr(get_origin(hint) or hint, "__value__", None), get_args(hint)
+    if stands_for is None:
+        return hint
+    return stands_for[inner] if inner else stands_for
+
+
+def _validated(function: Callable[[Any], Any]) -> Any:
+    from pydantic import PlainValidator
+
+    return Annotated[Any, PlainValidator(function)]
+
+
+def _lax() -> Any:
+    from pydantic import Strict
+
+    return Strict(False)  # a list may stand for a tuple
+
+
+def _listed() -> Any:
+    from pydantic import BeforeValidator
+
+    return BeforeValidator(_list)
+
+
+def _refusal(got: object, allowed: str) -> Exception:
+    from pydantic_core import PydanticCustomError
+
+    return PydanticCustomError(OURS, "{allowed}", {"allowed": allowed, "got": got})
+
+
+# --- kinds of values --------------------------------------------------------------------------------------------------------------
+
+
+def _number_of(kind: type, bounds: Bounds) -> Callable[[Any], Any]:
+    allowed = f"a {bounds.of('whole number' if kind is int else 'number')}"
+
+    def number(value: Any) -> Any:
+        plain = value.item() if getattr(value, "ndim", None) == 0 else value  # a number of NumPy
+        if isinstance(plain, bool) or not isinstance(plain, numbers.Integral if kind is int else numbers.Real):
+            raise _refusal(brief(value), allowed)
+        try:
+            size = float(plain)
+        except OverflowError:
+            size = math.inf
+        if not bounds.hold(size, size):
+            raise _refusal(brief(value), allowed)
+        return plain
+
+    return number
+
+
+def _array_of(bounds: Bounds | None, axes: int | None, dtype: Any, *, is_array: bool) -> Callable[[Any], Any]:
+    import numpy as np
+
+    allowed = f"{'an array of ' if is_array else ''}{bounds.of('numbers') if bounds else 'real numbers'}"
+    shaped = f"{allowed}, not empty, with {axes} {'axis' if axes == 1 else 'axes'}"
+
+    def array(value: Any) -> Any:
+        if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
+            raise _refusal("masked values", f"{allowed}; fill them")
+        try:
+            values = np.asarray(value)
+            if values.dtype.kind == "O" and all(isinstance(part, numbers.Real) for part in values.flat):
+                values = values.astype(float)  # integers beyond 64 bits
+        except (TypeError, ValueError, OverflowError):
+            raise _refusal(brief(value), allowed) from None
+        if values.dtype.kind not in "iufb":
+            raise _refusal(brief(value), allowed)
+        if is_array and axes and (values.ndim != axes or not values.size):
+            raise _refusal(f"an array of shape {values.shape}", shaped)
+        if bounds and values.size and not bounds.hold(values.min(), values.max()):  # min propagates NaN
+            place = np.unravel_index(np.argmin(_within(values, bounds)), values.shape)
+            where = f" at {[int(index) for index in place]}" if values.ndim else ""
+            raise _refusal(f"{values[place]}{where}", allowed)
+        is_float = dtype in (np.float64, np.float32)
+        return values.astype(dtype) if is_float and values.dtype.kind != "f" else values
+
+    return array
+
+
+def _within(values: Any, bounds: Bounds) -> Any:
+    import numpy as np
+
+    finite = ~np.isnan(values) if bounds.infinite else np.isfinite(values)
+    above = (values > bounds.low) & (values >= SMALLEST) if bounds.open_low else values >= bounds.low
+    return finite & above & (values < bounds.high if bounds.open_high else values <= bounds.high)
+
+
+def _bool(value: Any) -> Any:
+    if type(value).__name__ not in ("bool", "bool_"):  # of NumPy, too
+        raise _refusal(brief(value), "True or False")
+    return value
+
+
+def _path(value: Any) -> Any:
+    if not isinstance(value, str | os.PathLike) or not os.fspath(value) or "\0" in str(value):
+        raise _refusal(brief(value), "the path of a file")
+    return value
+
+
+def _callable(value: Any) -> Any:
+    if not callable(value):
+        raise _refusal(brief(value), "a function")
+    return value
+
+
+def _list(value: Any) -> Any:
+    if not isinstance(value, Iterable) or isinstance(value, str | bytes | Mapping):
+        raise _refusal(brief(value), "a list")
+    return list(value)
+
+
+# --- what pydantic says -----------------------------------------------------------------------------------------------------------
+
+ALLOWED = {
+    "string_type": "a text",
+    "is_instance_of": "a {class}",
+    "literal_error": "{expected}",
+    "tuple_type": "a tuple",
+    "dict_type": "a table with texts as keys",
+    "list_type": "a list",
+    "too_long": "a list of {max_length}",
+    "missing": "a tuple with more parts",
+}
+
+
+def _first_problem(
+    function: Callable[..., Any], error: ValidationError, args: Sequence[Any], kwargs: Mapping[str, Any]
+) -> Exception:
+    """Return the PixsimError of the first argument at fault; the TypeError of Python for a call that has not its arguments."""
+    problems = error.errors(include_url=False)
+    signature = inspect.signature(function)
+    if any(problem["type"] in WRONG_CALLS for problem in problems):
+        try:
+            signature.bind(*args, **kwargs)
+        except TypeError as wrong:
+            return TypeError(f"{function.__name__}() {wrong}")
+
+    first = problems[0]["loc"][0]
+    name = [*signature.parameters][first] if isinstance(first, int) else str(first)
+    value = args[first] if isinstance(first, int) else kwargs[name]
+    of_argument = [problem for problem in problems if problem["loc"][0] == first]
+    within = [problem for problem in of_argument if problem["input"] is not value]
+    if within:  # the part at fault of a list or table
+        part = within[0]["input"]
+        return _problem(name + _place(within[0]), part, [problem for problem in within if problem["input"] is part])
+    optional = NoneType in get_args(get_type_hints(_Annotated(function)).get(name))
+    return _problem(name, value, of_argument, optional=optional)
+
+
+def _place(problem: ErrorDetails) -> str:
+    """Return where in an argument a problem is: the indices and keys of its parts, without pydantic's names of kinds."""
+    parts = [part for part in problem["loc"][1:] if isinstance(part, int) or part in _keys(problem)]
+    return "".join(f"[{part!r}]" for part in parts)
+
+
+def _keys(problem: ErrorDetails) -> set[str]:
+    kinds = ("function", "union", "list", "dict", "tuple", "str", "is-instance", "nullable", "lax-or-strict", "json-or-python")
+    return {part for part in problem["loc"][1:] if isinstance(part, str) and not part.startswith(kinds)}
+
+
+def _problem(name: str, value: object, problems: Sequence[ErrorDetails], *, optional: bool = False) -> PixsimError:
+    got, allowed = brief(value), list[str]()
+    for problem in problems:
+        context = problem.get("ctx", {})
+        if problem["type"] == OURS:
+            got = context["got"] if len(problems) == 1 else got
+            allowed.append(context["allowed"])
+        else:
+            allowed.append(ALLOWED.get(problem["type"], problem["msg"]).format_map(context))
+    return invalid(name, got, ", or ".join([*dict.fromkeys(allowed), *(["None"] if optional else [])]))
