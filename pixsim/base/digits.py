@@ -36,6 +36,15 @@ def number(value: float | None, digits: int = 2, least: float = 0.0) -> str:
     return "0" if abs(value) < least else rounded(value, digits)
 
 
+def percent(share: float, decimals: int = 0) -> str:
+    """Return a share in per cent.
+
+    >>> percent(0.164), percent(0.0123, 1)
+    ('16 %', '1.2 %')
+    """
+    return f"{100 * share:.{decimals}f} %"
+
+
 def duration(seconds: float) -> str:
     """Return a duration to two digits.
 

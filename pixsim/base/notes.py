@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import partial
 from pathlib import Path
+from string import Formatter
 from typing import Any, Self
 
 from pixsim.base.errors import shown
@@ -17,6 +18,17 @@ from pixsim.base.note_kinds import NOTES
 
 # Suppresses warnings, such as of clipped white, that the run itself gives once.
 without_warnings = partial(warnings.catch_warnings, action="ignore", category=UserWarning)
+
+
+class _Templates(Formatter):
+    """The formatter of templates: shares in per cent have a space before their unit."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        text: str = format(value, format_spec)
+        return f"{text[:-1]} %" if format_spec.endswith("%") else text
+
+
+_TEMPLATES = _Templates()
 
 
 class Note(str):
@@ -35,7 +47,7 @@ class Note(str):
 
         values : those that the kind's template names
         """
-        return cls.restored(id, shown(NOTES[id].template.format(**values)).removesuffix("."))
+        return cls.restored(id, shown(_TEMPLATES.format(NOTES[id].template, **values)).removesuffix("."))
 
     @classmethod
     def restored(cls, id: str, text: str) -> Self:

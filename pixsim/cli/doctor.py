@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from pixsim.base import cache, machine
+from pixsim.base.digits import percent
 from pixsim.base.errors import PixsimError
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.version import VERSION
@@ -245,7 +246,7 @@ def _test_render(chosen: Trial, scalar: Trial | None) -> Diagnosis:
     if fault is None:
         text = (
             f"csf with {taken}: {facts['mean_lx']:.3f} lx, closed form {facts['expected_lx']:.3f} lx "
-            f"({facts['mean_error']:+.1e}; RMS {facts['rms_error']:.2%}); {chosen.seconds:.1f} s, "
+            f"({facts['mean_error']:+.1e}; RMS {percent(facts['rms_error'], 2)}); {chosen.seconds:.1f} s, "
             f"of which {facts['render_s']:.1f} s render"
         )
         return Diagnosis("test render", facts["variant"], OK, text, facts=facts)

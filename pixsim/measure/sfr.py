@@ -28,6 +28,7 @@ from scipy.special import chndtrinc, erf, ndtri, stdtrit
 from pixsim.base.arrays import Array
 from pixsim.base.bounds import LARGEST, SMALLEST, Positive
 from pixsim.base.caller import setting
+from pixsim.base.digits import percent
 from pixsim.base.door import checked_methods
 from pixsim.base.errors import PixsimError, excerpt, invalid
 from pixsim.base.notes import Note, collected_notes, warn
@@ -280,7 +281,10 @@ def check_saturation(data: Array, saturation: float) -> None:
     if (full := float(np.mean(data >= saturation))) > MAX_SATURATED:
         hint = "Reduce the exposure (--exposure.well-target, --exposure.integration-s)."
         raise invalid(
-            "edge picture", f"{full:.1%} saturated pixels", f"at most {MAX_SATURATED:.1%} from saturation = {saturation:g} on", hint
+            "edge picture",
+            f"{percent(full, 1)} saturated pixels",
+            f"at most {percent(MAX_SATURATED, 1)} from saturation = {saturation:g} on",
+            hint,
         )
 
 
@@ -519,7 +523,7 @@ def check_clipping(grids: Sequence[ChannelGrid], is_unclipped: bool) -> None:
                 natural = MAX_AT_TOP if noise_of(side, code) >= code else 1.0 - MAX_SATURATED
             if at_top <= natural:
                 continue
-            got = f"a {name} side with {at_top:.1%} of its pixels at exactly {sign * top:g} above black, "
+            got = f"a {name} side with {percent(at_top, 1)} of its pixels at exactly {sign * top:g} above black, "
             got += f"beside noise of σ = {noise * code:.3g} on the other side"
             if name == "dark":
                 warn(Note("edge_clipped", words=f"{got}, as if it were clipped at black"))
@@ -559,8 +563,8 @@ def check_kinks(grids: Sequence[ChannelGrid], fit: EdgeFit, binned: Binned, is_u
     if not clipped[at]:
         return
     name = "bright" if levels[at] == max(levels) else "dark"
-    got = f"a {name} side at exactly {levels[at]:g} above black that the edge runs into at {kinks[at]:.0%} of its steepest slope, "
-    got += f"beside {kinks[1 - at]:.0%} on the other side"
+    got = f"a {name} side at exactly {levels[at]:g} above black that the edge runs into at {percent(kinks[at])} of its steepest "
+    got += f"slope, beside {percent(kinks[1 - at])} on the other side"
     if is_unclipped:
         warn(Note("edge_clipped", words=f"{got}, as if it were clipped"))
         return
@@ -1049,7 +1053,7 @@ def read_edge_picture(path: Path, channel: str | None = None) -> EdgePicture:
         numbers[name] = value
     if stated_number(metadata, "saturated_fraction") > MAX_SATURATED:
         share = stated_number(metadata, "saturated_fraction")
-        words = f"'{path}' states {share:.1%} saturated pixels, which need not be at the top code and may lie beside it"
+        words = f"'{path}' states {percent(share, 1)} saturated pixels, which need not be at the top code and may lie beside it"
         warn(Note("edge_clipped", words=words))
     bits = numbers.get("bits", BITS_OF_PICTURES if is_image and data.dtype == np.uint16 else None)
     top = numbers.get("white_level_dn", None if bits is None else 2.0**bits - 1)

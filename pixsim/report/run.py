@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from pixsim.base.arrays import Array
-from pixsim.base.digits import exposure_time, rounded, span, with_error, within_error
+from pixsim.base.digits import exposure_time, percent, rounded, span, with_error, within_error
 from pixsim.base.files import digest_of
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.notes import Note, warn
@@ -142,8 +142,8 @@ def colour_rows(facts: Mapping[str, Any] | None, out_of_gamut: tuple[float, floa
         ("sensitivity metamerism index under this lamp (100: no colour error)", f"{facts['sensitivity_metamerism_index']:.4g}"),
         ("mean ΔE of patches 1-18 of a ColorChecker behind the matrix, without noise", f"{facts['patches_mean_delta_e']:.3g}"),
         ("ideal image", IDEALS[facts["ideal_is_coloured"]]),
-        ("dots outside the display's gamut: ideal image", f"{out_of_gamut[0]:.2%}"),
-        ("dots outside the display's gamut: the sensor's picture", f"{out_of_gamut[1]:.2%}"),
+        ("dots outside the display's gamut: ideal image", percent(out_of_gamut[0], 2)),
+        ("dots outside the display's gamut: the sensor's picture", percent(out_of_gamut[1], 2)),
     ]
 
 
@@ -479,7 +479,7 @@ def setup_parts(result: RunResult) -> list[str]:
     exposure, time_s, saturated = settings.exposure, frame.integration_s, frame.saturated_fraction
     is_longest = exposure.integration_s is None and time_s >= exposure.times * exposure.max_integration_s
     longest = " (the maximum)" if is_longest else ""
-    full = f", {saturated:.0%} of them saturated" if saturated > SATURATED_SHOWN else ""
+    full = f", {percent(saturated)} of them saturated" if saturated > SATURATED_SHOWN else ""
     exposed = ", ".join([f"exposed for {exposure_time(time_s)}{longest}{full}", *stage_words(settings)])
 
     view = view_words(settings.display, result.irradiance.header, result.prepared.view, settings.window_mm, columns)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from pixsim.base.digits import percent
 from pixsim.sensor.labels import label_of
 from pixsim.show.document import Answer, Block, Document, DocumentTable, Fact, Link, Plot, Section, headline
 from pixsim.show.figures import COLOURS, literal, new_figure
@@ -107,7 +108,7 @@ def uncertainty_blocks(results: Sequence[UncertaintyResult]) -> tuple[Block, ...
         low, median, high = (f"{size_um:.2f} µm" for size_um in result.optimum.quantiles.values())
         name = f"{result.label}: " if result.label else ""
         types = f"{result.draws} sensor types"
-        at_ends = f"{result.share_at_ends:.0%} at an end of the sizes tried" if result.share_at_ends else ""
+        at_ends = f"{percent(result.share_at_ends)} at an end of the sizes tried" if result.share_at_ends else ""
         blocks.append(
             headline([f"{name}optimum{result.by} of {types}: median {median}, nine tenths from {low} to {high}", at_ends])
         )

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pixsim.base.arrays import Array
 from pixsim.base.bounds import Count, Positive
 from pixsim.base.caller import parameter, setting
+from pixsim.base.digits import percent
 from pixsim.base.door import checked_methods
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import Note
@@ -490,7 +491,7 @@ def _light_that_ends(state: Tree, lamps: Sequence[Lamp], span: Span, seeing: Seq
             if value > lit and (part := share(held, beyond)) > SHOWN_SHARE:
                 warnings.append(
                     f"the light of a lamp {word} at {end_nm:g} nm, where it is not 0: it is taken as 0 beyond; "
-                    f"if it stayed so, {part:.0%} of the electrons would come from there"
+                    f"if it stayed so, {percent(part)} of the electrons would come from there"
                 )
 
     pictures = [state.nodes[index] for lamp in lamps if lamp.spectrum is None for index in lamp.pictures]
@@ -504,7 +505,7 @@ def _light_that_ends(state: Tree, lamps: Sequence[Lamp], span: Span, seeing: Seq
         if part > SHOWN_SHARE:
             warnings.append(
                 f"a sunsky has data from {SKY_NM[0]:g} to {SKY_NM[1]:g} nm, and is 0 beyond: of sunlight (a black body of "
-                f"{SUN_K:g} K), {part:.1%} of the electrons come from there; a filter keeps it out "
+                f"{SUN_K:g} K), {percent(part, 1)} of the electrons come from there; a filter keeps it out "
                 f"({setting('pixel.infrared_cut_nm', SKY_NM[1])})"
             )
     return list(dict.fromkeys(warnings))
@@ -731,7 +732,7 @@ def _sampling(camera: Camera, physics: PixelPhysics, width: int) -> str:
     left = float(diffraction_otf(nyquist, GREEN_NM, camera.effective_f_number))
     return (
         f"{width} samples of {pitch_um:.3g} µm across, {physics.aperture_side_um / pitch_um:.2g} per {_aperture(physics)}; "
-        f"the lens passes {left:.0%} at their Nyquist frequency, {nyquist:.3g} of {cutoff:.3g} cy/mm"
+        f"the lens passes {percent(left)} at their Nyquist frequency, {nyquist:.3g} of {cutoff:.3g} cy/mm"
     )
 
 
@@ -750,7 +751,7 @@ def decide_stack(physics: PixelPhysics, camera: Camera, spare_e: float, full: bo
     check_efficiency(physics)
     axis, corner = stack_shares(physics, camera, GREEN_NM)
     kind = f"{'microlens' if stack.microlens else 'opening'} {stack.height_um:.4g} µm"
-    reason = f"{kind} above the photodiode: a pixel collects {axis:.0%} of its light on axis, {corner:.0%} in the corner"
+    reason = f"{kind} above the photodiode: a pixel collects {percent(axis)} of its light on axis, {percent(corner)} in the corner"
     rays = ", chief rays of camera.chief_ray_angle" if camera.chief_ray_angle is not None else ""
     rays = f", rays of '{camera.lens.file}'" if camera.lens is not None else rays
     reason += f" ({GREEN_NM:g} nm{rays})"
@@ -778,7 +779,7 @@ def decide_saturation(readout: Readout, integration_s: float) -> Decision:
         reason = f"linear charge up to a hard clip {clips}, {readout.burst(1).saturation_e:.3g} e-{conversion}"
         return Decision("saturation", True, reason)
     limit_e = linear_limit_e(diode, full_well_e, integration_s)
-    limit = f"{limit_e:.3g} e- in {integration_s:.3g} s ({limit_e / full_well_e:.0%} of the well)"
+    limit = f"{limit_e:.3g} e- in {integration_s:.3g} s ({percent(limit_e / full_well_e)} of the well)"
     if bent:
         return Decision("saturation", True, f"the diode turns forward above {limit}{conversion}")
     reason = f"linear if the brightest pixel stays below {limit}; else a table of the diode"

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pixsim.base.digits import f_stop
+from pixsim.base.digits import f_stop, percent
 from pixsim.base.notes import Note
 from pixsim.light.spectral import photons_per_joule
 from pixsim.optics.camera import Camera
@@ -52,7 +52,7 @@ def decide_real_lens(
     distortion = distortion_of(camera)
     assert distortion is not None
     words = f"'{camera.lens.file}' at {camera.lens.focal_length_mm:.4g} mm {f_stop(camera.lens.f_number)}; in the corner "
-    words += f"{camera.chief_ray_angle[-1][2]:.0%} of the light, from {camera.chief_ray_angle[-1][1]:.3g} degrees; "
+    words += f"{percent(camera.chief_ray_angle[-1][2])} of the light, from {camera.chief_ray_angle[-1][1]:.3g} degrees; "
     words += f"shifts up to {1e3 * distortion.largest_mm:.3g} µm"
     if not full:
         error = thin_lens_error(camera, pitch_um, SEEN_NM, weight, aperture_um)
@@ -63,8 +63,8 @@ def decide_real_lens(
     tiling = choose_tiling(camera, (height, width), pitch_um, tuple(SEEN_NM.tolist()), tuple(weight.tolist()), aperture_um, target)
     tiles = math.ceil(1e3 * max(camera.die_mm, camera.height_mm) / tiling.spacing_um)
     if tiling.psf_um:
-        blur = f"{tiles} tiles across with PSFs of {tiling.psf_um:.3g} µm, which lack up to {tiling.lacking:.1%} of the light, "
-        blur += f"from wavefronts of {tiling.nodes} fields and {tiling.wavelengths} wavelengths"
+        blur = f"{tiles} tiles across with PSFs of {tiling.psf_um:.3g} µm, which lack up to {percent(tiling.lacking, 1)} of the "
+        blur += f"light, from wavefronts of {tiling.nodes} fields and {tiling.wavelengths} wavelengths"
     else:
         blur = f"no blur, on film cells of {pitch_um:.3g} µm"
     reason = f"{words}; {blur}: rms error up to {tiling.error:.1e} of the contrast of detail all over the picture, "
@@ -142,7 +142,7 @@ def tried_discs_um(ranges: Sequence[tuple[float, float]], least_um: float, camer
 def _amount(found: Defocus) -> str:
     """Return an error with where it is."""
     where = "infinity" if math.isinf(found.depth_m) else f"{found.depth_m:.3g} m"
-    size = f"{found.error:.1%} of the contrast" if found.error < MOST_STATED else "more than the contrast"
+    size = f"{percent(found.error, 1)} of the contrast" if found.error < MOST_STATED else "more than the contrast"
     return f"{size} at {where}, with discs of {found.disc_um:.3g} µm"
 
 
@@ -160,18 +160,18 @@ def real_lens_warnings(camera: Camera, tiling: Tiling | None, defocus: Sequence[
         right_words = f"; it is right with discs up to {max(found.disc_um for found in right):.3g} µm" if right else ""
         notes.append(Note("lens_defocus", limit=BLUR_TOLERANCES * tolerance_e, largest=largest, right=right_words))
     if tiling is not None and tiling.error > BLUR_TOLERANCES * tolerance_e:
-        size = f"of up to {tiling.error:.1%} of" if tiling.error < 1 else "as large as"
-        size += f" the picture's contrast, above {BLUR_TOLERANCES * tolerance_e:.1%}"
+        size = f"of up to {percent(tiling.error, 1)} of" if tiling.error < 1 else "as large as"
+        size += f" the picture's contrast, above {percent(BLUR_TOLERANCES * tolerance_e, 1)}"
         if tiling.psf_um:
             reason = (
-                f"its PSFs of {tiling.psf_um:.3g} µm lack up to {tiling.lacking:.1%} of the light, which makes "
-                f"{tiling.cut_error:.1%}; tiles reach their limit of {TILES[-1]} across the die or {MIN_SPACING} film cells each, "
-                "or wavefronts are too steep for polynomials"
+                f"its PSFs of {tiling.psf_um:.3g} µm lack up to {percent(tiling.lacking, 1)} of the light, which makes "
+                f"{percent(tiling.cut_error, 1)}; tiles reach their limit of {TILES[-1]} across the die or {MIN_SPACING} film "
+                "cells each, or wavefronts are too steep for polynomials"
             )
         else:
             reason = (
                 "the film is too coarse for it, and it is left out; "
-                f"up to {tiling.lacking:.1%} of a point's light would leave its cell. Take a finer film"
+                f"up to {percent(tiling.lacking, 1)} of a point's light would leave its cell. Take a finer film"
             )
         notes.append(Note("lens_blur", size=size, reason=reason))
     return notes

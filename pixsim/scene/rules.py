@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pixsim.base import cache
 from pixsim.base.arrays import Array, in_threads, strips
+from pixsim.base.digits import percent
 from pixsim.base.mapped import release, zeros
 from pixsim.light.spectral import HIGH_NM, WHOLE, Spectrum, regular_values
 from pixsim.optics.camera import Camera
@@ -584,6 +585,6 @@ def decide_diffraction(
     allowed = tolerance_e * DIFFRACTION_SHARE
     effect = diffraction_effect(chart, pitch_um, np.array([longest_nm]), np.ones(1), camera.effective_f_number, allowed)
     if effect > allowed:
-        return Decision("diffraction", True, f"{reason}; changes a sample of this chart by {effect:.1%}")
+        return Decision("diffraction", True, f"{reason}; changes a sample of this chart by {percent(effect, 1)}")
     reason += f"; changes no sample of this chart by more than {effect:.1e}"
     return Decision("diffraction", False, reason, "2 transforms", effect)

@@ -9,6 +9,7 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
+from pixsim.base.digits import percent
 from pixsim.base.notes import Note
 from pixsim.light.curves import EfficiencyCurve
 from pixsim.light.spectral import SpectralImage, photons_per_joule
@@ -58,7 +59,7 @@ def pixel_notes(physics: PixelPhysics, camera: Camera | None = None, irradiance:
         notes.append(Note("flat_efficiency", **values))
     shares = infrared_shares(irradiance, physics)
     if max(shares.values(), default=0.0) > INFRARED_SHARE:
-        channels = ", ".join(f"{share:.0%} of {letter}" for letter, share in shares.items())
+        channels = ", ".join(f"{percent(share)} of {letter}" for letter, share in shares.items())
         filter_nm = setting("pixel.infrared_cut_nm", 650.0)
         notes.append(Note("infrared", limit_nm=INFRARED_NM, channels=channels, setting=filter_nm))
     return notes

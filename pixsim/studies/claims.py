@@ -14,7 +14,7 @@ import scipy  # whose parts are imported when they are used
 from numpy.typing import ArrayLike
 
 from pixsim.base.arrays import Array
-from pixsim.base.digits import interval
+from pixsim.base.digits import interval, percent
 from pixsim.scene.charts import csf_contrast, csf_frequency_lp_per_mm, csf_frequency_on_sensor
 from pixsim.sensor.integration import pixels_on
 from pixsim.sensor.pixel import derive, fill_factor_law
@@ -274,7 +274,7 @@ def _pixel_rows(evidence: Evidence) -> Iterator[Finding]:
     process = reference_process(evidence.result.study)
     for size_um, given in FILL_FACTORS.items():
         result = float(fill_factor_law(size_um, process))
-        yield Finding(f"Fill factor at {size_um:g} µm", f"{given:.0%}", f"{result:.1%}", abs(result - given) < 0.015)
+        yield Finding(f"Fill factor at {size_um:g} µm", percent(given), percent(result, 1), abs(result - given) < 0.015)
     pitch_um = np.geomspace(5.3, 15.0, 25)
     low, high = FIGURE_2_RANGE_DB
     for name, db in zip(("DR", "SNR at 20 % well"), dr_and_snr_db(pitch_um, "paper", process), strict=True):
@@ -293,7 +293,7 @@ def _optimum_rows(evidence: Evidence) -> Iterator[Finding]:
     yield Finding("Optimal pixel size at 0.35 µm", f"about {OPTIMUM_UM:g} µm", size, agrees)
     fill_factor = curve.optimum_fill_factor
     agrees = abs(fill_factor - OPTIMUM_FILL_FACTOR) <= FILL_FACTOR_TOLERANCE
-    yield Finding("Its fill factor", f"{OPTIMUM_FILL_FACTOR:.0%}", f"{fill_factor:.0%}", agrees)
+    yield Finding("Its fill factor", percent(OPTIMUM_FILL_FACTOR), percent(fill_factor), agrees)
 
 
 def _bands(frequencies_lp_per_mm: Array) -> str:

@@ -22,6 +22,7 @@ import numpy as np
 from scipy.special import betaincinv, ndtri
 
 from pixsim.base.arrays import Array, stream
+from pixsim.base.digits import percent
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.records import Record
 from pixsim.light.quantities import MIN_FRACTION
@@ -197,8 +198,8 @@ class Unknown:
         low, high = self.cut
         if high - low < LEAST_KEPT:
             bounds = f"{self.allowed[0]:g} to {self.allowed[1]:g}"
-            got = f"a {self.spread.kind} distribution of which {high - low:.0%} are within {bounds}"
-            raise invalid(self.name, got, f"at least {LEAST_KEPT:.0%}", "Give a narrower spread.")
+            got = f"a {self.spread.kind} distribution of which {percent(high - low)} are within {bounds}"
+            raise invalid(self.name, got, f"at least {percent(LEAST_KEPT)}", "Give a narrower spread.")
 
     @property
     def name(self) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
+from pixsim.base.digits import percent
 from pixsim.sensor.code_moments import moments_of_codes
 from pixsim.sensor.flicker import burst_modulation, clipped_light
 from pixsim.sensor.noise import variance_e2
@@ -186,7 +187,7 @@ def _full(range_e: float, white_e: float, lightest: float, share: float, modulat
     lost = lightest - float(lightness_of(np.array(clipped_light(max(range_e, 0.0) / white_e, modulation))))
     if lost < SEEN_LIGHTNESS:
         return None
-    return Cause(f"{share:.0%} of the pixels are saturated", lost, _less_light())
+    return Cause(f"{percent(share)} of the pixels are saturated", lost, _less_light())
 
 
 def _light(share: float) -> Cause | None:

@@ -9,6 +9,7 @@ from importlib.util import find_spec
 import numpy as np
 
 from pixsim.base.arrays import Array, stream
+from pixsim.base.digits import percent
 from pixsim.base.errors import invalid
 from pixsim.sensor.correction import correct
 from pixsim.sensor.readout import Frame, capture_from_rates, lasting, sample_sensor
@@ -86,8 +87,8 @@ def _visual_noise(judged: FrameUnderTest) -> tuple[float]:
     if correction.is_on:
         frame = correct(frame, sensor, correction, stream(*key, "correction"), flat_field, None)
     if frame.saturated_fraction > FEW_FULL:
-        full = f"{frame.saturated_fraction:.0%} of the pixels of {development.readout.physics.pitch_um:g} µm full"
-        allowed = f"at most {FEW_FULL:.0%} in a patch of {GREY:.0%} of white, whose noise shows"
+        full = f"{percent(frame.saturated_fraction)} of the pixels of {development.readout.physics.pitch_um:g} µm full"
+        allowed = f"at most {percent(FEW_FULL)} in a patch of {percent(GREY)} of white, whose noise shows"
         raise NoNumberError(str(invalid("the metric visual_noise", full, allowed, "Expose it for less time.")))
     return (visual_noise(development.light(frame), imaging.display.samples_per_deg),)
 

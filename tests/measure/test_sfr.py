@@ -232,7 +232,7 @@ def test_pictures_of_other_programs_are_measured(file: str, channel: str | None,
     ("line", "message"),
     [
         ("ex1.6.png", "exactly 4095 above black, beside noise"),
-        ("ex1.6.png --saturation 4095", "49.9% saturated"),
+        ("ex1.6.png --saturation 4095", "49.9 % saturated"),
         ("mild.tif", "looks like a colour mosaic"),
         ("mild.tif --channel R", "--layout RG/GB"),
         ("mild.tif --channel 2,0", "from 0,0 to 1,1"),
@@ -364,7 +364,7 @@ def test_dark_side_below_black_is_measured(below: float) -> None:
 
 
 def test_dark_side_far_below_black_is_named() -> None:
-    with pytest.warns(UserWarning, match=r"below black by 10\.0% of the step: the black level is too high"):
+    with pytest.warns(UserWarning, match=r"below black by 10\.0 % of the step: the black level is too high"):
         assert edge_response(gaussian_edge() - DARK - 90).contrast == 1.0
 
 

@@ -438,5 +438,5 @@ def test_colour_rows_are_those_of_score_json() -> None:
     assert rows["electrons of white in R, B, C"] == "1000, 2000, 3000"
     assert rows["the same, row of green"] == "-0.25, 1.25, 0"
     assert rows["noise gains of the matrix in red, green, blue"] == "1.58, 1.27, 1.13"
-    assert {"90.98", "1.64", "3.60%", "5.00%"} < set(rows.values())
+    assert {"90.98", "1.64", "3.60 %", "5.00 %"} < set(rows.values())
     assert colour_rows(None, None) == []

@@ -15,6 +15,7 @@ from scipy.stats import t as student
 
 import pixsim
 from pixsim import optics
+from pixsim.base.digits import percent
 from pixsim.base.schema import SCHEMA
 from pixsim.scene.charts import siemens_star, write_chart
 from pixsim.scene.packaged import packaged_scenes
@@ -247,7 +248,7 @@ def test_decide_oversampling_states_photodiode_and_lens():
     pitch_um = 2713.6 / 512
     x = 1e3 / (2 * pitch_um) * 550e-6 * camera.effective_f_number
     otf = 2 / np.pi * (np.arccos(x) - x * np.sqrt(1 - x**2))
-    for part in (f"512 samples of {pitch_um:.3g} µm", f"{4 / pitch_um:.2g} per photodiode side", f"{otf:.0%}"):
+    for part in (f"512 samples of {pitch_um:.3g} µm", f"{4 / pitch_um:.2g} per photodiode side", percent(otf)):
         assert part in reason
 
 
@@ -257,7 +258,7 @@ def test_decide_saturation_states_law():
     assert "hard clip" in hard.reason
     soft = decide_saturation(Readout.of(derive(pixsim.Pixel(well_limit="diode"))), 0.1)
     assert not soft.kept
-    assert "1.78e+05 e- in 0.1 s (86% of the well)" in soft.reason
+    assert "1.78e+05 e- in 0.1 s (86 % of the well)" in soft.reason
     assert soft.bound_e == pytest.approx(1e-6 / 0.857, rel=1e-2)
     for limit in ("swing", "diode"):
         bent = decide_saturation(Readout.of(derive(pixsim.Pixel(well_limit=limit, conversion="junction"))), 0.1)
@@ -269,8 +270,8 @@ def test_decide_saturation_states_law():
 
 
 def test_make_plan_uses_longest_exposure():
-    long = {"in 1 s (83%": {"max_integration_s": 1.0}, "in 3.6e+03 s (73%": {"integration_s": 3600}}
-    for part, exposure in {"in 0.1 s (86%": None, **{part: pixsim.Exposure(**times) for part, times in long.items()}}.items():
+    long = {"in 1 s (83 %": {"max_integration_s": 1.0}, "in 3.6e+03 s (73 %": {"integration_s": 3600}}
+    for part, exposure in {"in 0.1 s (86 %": None, **{part: pixsim.Exposure(**times) for part, times in long.items()}}.items():
         plan = pixsim.make_plan(load("flat"), pixel=pixsim.Pixel(well_limit="diode"), exposure=exposure)
         assert part in decision(plan, "saturation").reason
 

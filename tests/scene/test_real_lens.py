@@ -10,6 +10,7 @@ from helpers.chains import imaging_chain
 from helpers.edits import VARIANT
 
 from pixsim import evaluate, load_scene, render
+from pixsim.base.digits import percent
 from pixsim.light.spectral import RINGS, photons_per_joule
 from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import (
@@ -94,7 +95,7 @@ def test_plan_states_the_tiles_and_their_error(singlet) -> None:
     assert "tiles across with PSFs of" in decision.reason
     assert 0 < plan.tiling.cut_error <= plan.tiling.error < 1
     assert 0 <= plan.tiling.lacking < 0.1
-    assert f"which lack up to {plan.tiling.lacking:.1%} of the light" in decision.reason
+    assert f"which lack up to {percent(plan.tiling.lacking, 1)} of the light" in decision.reason
     assert image.header[LENS_HEADER]["error"] == plan.tiling.error
     assert image.header[RINGS]  # so that what the distortion's spline rings below zero is no error
     assert Camera(**image.header["camera"]) == camera
@@ -131,12 +132,12 @@ def test_light_that_does_not_fit_a_film_cell_or_a_psf_is_told() -> None:
     outside = np.maximum(np.abs(waves.x_mm[0]), np.abs(waves.y_mm[0])) > 0.125
     assert plan.tiling.lacking == pytest.approx(outside.mean(), abs=0.1)
     (told,) = [note for note in plan.warnings if "the film is too coarse" in note]
-    assert f"up to {plan.tiling.error:.1%} of the picture's contrast" in told
+    assert f"up to {percent(plan.tiling.error, 1)} of the picture's contrast" in told
     assert "Take a finer film" in told
     cut = replace(plan.tiling, psf_um=445.0, error=0.1, cut_error=0.09, lacking=0.5)
     (told,) = [note for note in real_lens_warnings(camera, cut, [], 1e-3) if "blur" in note]
     assert (
-        "up to 10.0% of the picture's contrast, above 1.0%: its PSFs of 445 µm lack up to 50.0% of the light, which makes 9.0%"
+        "up to 10.0 % of the picture's contrast, above 1.0 %: its PSFs of 445 µm lack up to 50.0 % of the light, which makes 9.0 %"
         in told
     )
     assert not [note for note in real_lens_warnings(camera, replace(cut, error=0.01), [], 1e-3) if "blur" in note]
@@ -229,7 +230,7 @@ def test_the_brightest_pixel_sets_the_exposure_and_what_lies_beyond_the_circle_i
     scene, camera = through("phone", 12.0, 32, "flat", focal_length_mm=5.2, distance_m=1.0)
     plan = make_render_plan(scene, camera, PIXEL)
     share = dark_share(camera)
-    assert any(f"{share:.1%} of the die lies beyond the image circle of 'phone'" in note for note in plan.warnings)
+    assert any(f"{percent(share, 1)} of the die lies beyond the image circle of 'phone'" in note for note in plan.warnings)
     image = render(scene, camera, plan=plan)
     assert float((image.factors[1][0] == 0).mean()) == pytest.approx(share, abs=0.03)
     pixel = Pixel(pitch_um=100.0, infrared_cut_nm=720.0)
@@ -313,7 +314,7 @@ def test_plan_says_by_how_much_defocus_is_wrong_in_scenes_with_depth(
     (decision,) = [decision for decision in plan.decisions if decision.subject == "defocus of the lens"]
     worst = plan.defocus[0]
     assert decision.reason.startswith("out of focus, a thin lens's discs")
-    assert f"{worst.error:.1%} of the contrast" in decision.reason
+    assert f"{percent(worst.error, 1)} of the contrast" in decision.reason
     physics = derive(PIXEL)
     weight = photons_per_joule(SEEN_NM) * physics.quantum_efficiency(SEEN_NM)
     for found in plan.defocus:  # the depths of the scene, and the errors of traces there
@@ -327,12 +328,12 @@ def test_plan_says_by_how_much_defocus_is_wrong_in_scenes_with_depth(
     assert plan.as_dict()["defocus"][0] == {"depth_m": worst.depth_m, "disc_um": worst.disc_um, "error": worst.error}
     told = [note for note in plan.warnings if "out of focus" in note]
     if lens == "singlet":
-        assert f"wrong by more than 1.0%: {worst.error:.1%} of the contrast at" in told[0]
+        assert f"wrong by more than 1.0 %: {percent(worst.error, 1)} of the contrast at" in told[0]
     else:
         assert 1e-3 < worst.error < 0.01  # separable within ten times the tolerance of electrons
         assert not told
         (strict,) = [note for note in make_render_plan(scene, camera, PIXEL, tolerance_e=1e-4).warnings if "out of focus" in note]
-        assert f"wrong by more than 0.1%: {worst.error:.1%}" in strict
+        assert f"wrong by more than 0.1 %: {percent(worst.error, 1)}" in strict
 
 
 @pytest.mark.slow  # test_depths_are_those_of_the_shapes_in_view has the unknown size

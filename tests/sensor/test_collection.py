@@ -166,7 +166,7 @@ SCALES: list[tuple[dict[str, Any], float]] = [
 ]
 
 
-@pytest.mark.filterwarnings("ignore:100% of the ideal image")
+@pytest.mark.filterwarnings("ignore:100 % of the ideal image")
 @pytest.mark.parametrize(("fields", "tolerance"), SCALES)
 def test_stack_that_loses_nothing_is_left_out_within_its_bound(fields: dict[str, Any], tolerance: float) -> None:
     """The error of the mean electrons, over those of the brightest pixel, is at most the bound; without tolerance there is none."""

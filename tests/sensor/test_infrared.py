@@ -60,7 +60,7 @@ def test_share_beyond_a_table_is_that_of_its_last_value() -> None:
     (curve,) = tables_of(physics).values()
     assert share_beyond(curve, EVEN_PHOTONS, physics) == pytest.approx(2 / 7, rel=1e-7)
     (text,) = said(physics)
-    assert re.search(r"pixel\.quantum_efficiency ends at 900 nm with 0\.4, and is 0 beyond: if it stayed so, 29% of", text)
+    assert re.search(r"pixel\.quantum_efficiency ends at 900 nm with 0\.4, and is 0 beyond: if it stayed so, 29 % of", text)
 
 
 def test_table_and_filter_may_end_within_one_band() -> None:
@@ -109,7 +109,8 @@ def test_change_of_a_flat_efficiency_is_that_of_the_stated_curve() -> None:
 
 
 @pytest.mark.parametrize(
-    ("lamp", "fewer"), [("led_b3", ""), ("d65", ""), ("fl11", ""), ("halogen", "69%"), ("led_850nm", "76%"), ("led_940nm", "91%")]
+    ("lamp", "fewer"),
+    [("led_b3", ""), ("d65", ""), ("fl11", ""), ("halogen", "69 %"), ("led_850nm", "76 %"), ("led_940nm", "91 %")],
 )
 def test_flat_efficiency_is_told_in_halogen_and_infrared_light(lamp: str, fewer: str) -> None:
     nm, watts = np.loadtxt(packaged_scenes()["flat"].parent / f"spectra/{lamp}.spd").T
@@ -130,7 +131,7 @@ def test_infrared_in_colours_is_told_by_channel() -> None:
     }
     (text,) = said(coloured())
     assert text.startswith(
-        "infrared beyond 700 nm is 55% of R, 38% of G, 55% of B, which no eye sees: it is part of the colour error."
+        "infrared beyond 700 nm is 55 % of R, 38 % of G, 55 % of B, which no eye sees: it is part of the colour error."
     )
     assert said(coloured(infrared_cut_nm=690.0)) == said(coloured(), light(np.where(NM < 700, 1e-3, 0.0))) == []
     assert infrared_shares(EVEN_PHOTONS, grey([[400, 0.4], [1100, 0.4]])) == {}

@@ -453,7 +453,7 @@ def test_findings_contrary_evidence_flips_one_row(flip: str) -> None:
 def test_findings_numbers_are_the_evidence() -> None:
     rows = table(evidence())
     assert rows[OPTIMUM].found.startswith("6.50 µm (95 %: 6.45 to 6.55 µm)")
-    assert rows[ITS_FILL_FACTOR].found == "31%"  # the law's 31.0 %
+    assert rows[ITS_FILL_FACTOR].found == "31 %"  # the law's 31.0 %
     assert rows[SHRINKS].found == "8.60, 6.50, 5.00, 3.90 at 0.5, 0.35, 0.25, 0.18 µm"
     assert rows[SLOWER].found == "17.2, 18.6, 20.0, 21.7 at 0.5, 0.35, 0.25, 0.18 µm"
     # The middles of the six bins are (100/3)^(1/12) to (100/3)^(11/12) lp/mm; the thresholds above cross between 3 and 4.
@@ -529,7 +529,7 @@ def test_findings_follow_study_process() -> None:
 
     name = "Fill factor at 15 µm"
     half = rows(process={"0.35um": {"fill_factor_limit": 0.413}})
-    assert (half[name].found, half[name].agrees) == ("36.5%", False)  # 72.9 / 2
+    assert (half[name].found, half[name].agrees) == ("36.5 %", False)  # 72.9 / 2
     other = rows(pixel={"fill_factor_law": "inset_unlimited"})["Fill factor at 6.5 µm"]
     assert not other.agrees
     # ((p - s)² - (p0 - s)²)/p² with s = 4.9 F and p0 = 14.54 F, as printed to 0.1 %.

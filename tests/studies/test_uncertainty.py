@@ -181,7 +181,7 @@ def test_optima_at_an_end_count_as_that_size() -> None:
     result = propagate(NORMAL, linear, 256, 1, tried_um=(2.6, 40.0))
     assert result.share_at_ends == pytest.approx(stats.norm.cdf(-1), abs=0.02)
     assert result.optimum.quantiles == whole.optimum.quantiles | {"p05": 2.6}
-    assert "16% at an end of the sizes tried" in str(uncertainty_blocks([result])[0])
+    assert "16 % at an end of the sizes tried" in str(uncertainty_blocks([result])[0])
     assert "at an end" not in str(uncertainty_blocks([whole])[0])
 
 
@@ -470,7 +470,7 @@ def test_few_pitches_find_shifted_optimum(shift: float) -> None:
     [
         (lambda: sample_types([], 16), r"unknowns: got none; .*\[pixel\.uncertainty\]"),
         (lambda: Unknown("dsnu", -1.0, Spread(sd=1, distribution="lognormal")), "dsnu: got a lognormal distribution of -1"),
-        (lambda: Unknown("dsnu", 0.1, Spread(sd=1), allowed=(0.2, math.inf)), r"dsnu: got a normal .*46% are within 0\.2 to inf"),
+        (lambda: Unknown("dsnu", 0.1, Spread(sd=1), allowed=(0.2, math.inf)), r"dsnu: got a normal .*46 % are within 0\.2 to inf"),
         (lambda: unknowns_of_sheet(Pixel(**SHEET), {"dsnu": Spread(sd=1)}), r"inty\.dsnu: got no such number; .*full_well_e"),
         (lambda: few_pitches_um(3.0, (2.0, 4.0), (4.0, 2.0)), "range_um: got .*0 < low < high"),
         (lambda: few_pitches_um(3.0, (2.0, 4.0), (3.0, 3.00001)), "5 different pitches"),

@@ -226,8 +226,8 @@ QUIET = {"technology": "none", "pitch_um": 5.0, "full_well_e": 1e4, "quantum_eff
 QUIET |= {"read_noise_e": 1.0, "dark_current_e_per_s": 0.0}
 EMPTY: dict[str, tuple[dict[str, float], dict[str, float], str]] = {
     "dark charge": ({"dark_current_e_per_s": 1e9}, {"integration_s": 0.01}, "dark charge leaves no code"),
-    "gain": ({}, {"integration_s": 0.01, "gain_db": 60.0}, "100% of the pixels are saturated"),
-    "light": ({}, {"integration_s": 10.0}, "100% of the pixels are saturated"),
+    "gain": ({}, {"integration_s": 0.01, "gain_db": 60.0}, "100 % of the pixels are saturated"),
+    "light": ({}, {"integration_s": 10.0}, "100 % of the pixels are saturated"),
     "one bit": ({"bits": 1}, {"integration_s": 1e-4}, "display white is .* of a step"),
     "short time": ({}, {"integration_s": 5.7e-14}, "display white is .* of a step"),
     "dark charge that ends the exposure": ({"dark_current_e_per_s": 1.7e17}, {}, "display white is .* of a step"),
@@ -259,7 +259,7 @@ def test_frame_that_tells_nothing_is_said_once(case: str, tmp_path: Path) -> Non
     ("exposure", "why"),
     [
         ({"integration_s": 1e3}, "dark charge leaves no code"),
-        ({"integration_s": 0.2, "gain_db": 60.0}, "100% of the pixels are saturated"),
+        ({"integration_s": 0.2, "gain_db": 60.0}, "100 % of the pixels are saturated"),
     ],
 )
 def test_study_of_frames_that_tell_nothing_says_so(exposure: dict[str, float], why: str, tmp_path: Path) -> None:
@@ -331,7 +331,7 @@ def test_full_pixels_are_named_where_display_white_is_lighter() -> None:
     """In a white of four wells, pixels are full from a quarter of it on, L* 57.1 by CIE 15: up to 42.9 are lost."""
     full_e = FLAT.saturation_e - 0.01 * FLAT.dark_current_e_per_s
     (cause,) = causes_in({}, Display(), FLAT, 4 * full_e, 0.01, (0.0, 100.0), 0.85)
-    assert cause.words == "85% of the pixels are saturated"
+    assert cause.words == "85 % of the pixels are saturated"
     assert cause.delta_e == pytest.approx(100 - (116 * 0.25 ** (1 / 3) - 16), abs=1e-9)
     for white_e, lightest, share in ((full_e, 100.0, 0.85), (4 * full_e, 57.0, 0.85), (4 * full_e, 100.0, 0.005)):
         assert causes_in({}, Display(), FLAT, white_e, 0.01, (0.0, lightest), share) == ()
@@ -424,7 +424,7 @@ def test_full_exposures_of_a_burst_are_named_though_their_sum_is_not_full() -> N
     white_e = readout.saturation_e - 0.004 * readout.dark_current_e_per_s
     (cause,) = causes_in({}, Display(), readout, white_e, 0.004, (0.0, 100.0), 0.5, lamp)
     left = 1 - 0.6 * np.sinc(0.05) / np.pi
-    assert cause.words == "50% of the pixels are saturated"
+    assert cause.words == "50 % of the pixels are saturated"
     assert cause.delta_e == pytest.approx(100 - (116 * left ** (1 / 3) - 16), abs=1e-9)
     for exposure, less in ((lamp.steady, 1.0), (lamp, 1.6)):
         assert causes_in({}, Display(), readout, white_e / less, 0.004, (0.0, 100.0), 0.5, exposure) == ()

@@ -48,7 +48,7 @@ def test_pictures_of_a_score_have_its_difference_bit_for_bit(light, colour, disp
 def test_pictures_are_rounded_to_the_codes_of_the_display_and_clipped_to_its_range():
     """2 bits at γ = 1: light of 0, 1/3, 2/3 and 1."""
     picture = np.repeat([[-0.5, 0.1, 0.4, 0.6, 0.995, 1.004]], 4, axis=0)
-    with pytest.warns(UserWarning, match="17% of the ideal image is brighter than display white"):
+    with pytest.warns(UserWarning, match="17 % of the ideal image is brighter than display white"):
         score = score_pictures(picture, picture, Display(bits=2, gamma=1.0))
     assert score.image[0] == pytest.approx([0, 0, 1 / 3, 2 / 3, 1, 1], abs=1e-15)
     assert score.mean_delta_e == 0.0

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pixsim.base.children import safe_variables
+from pixsim.base.digits import percent
 
 Line = dict[str, Any]
 START = "import sys; sys.path[:] = {path!r}; from pixsim.scene.variants.checks import main; main({fd}, {kind!r}, *{arguments!r})"
@@ -86,4 +87,5 @@ def picture_fault(trial: Trial) -> str | None:
     rms = trial.facts["rms_error"]
     if abs(mean) <= MAX_MEAN_ERROR and rms <= MAX_RMS_ERROR:  # False for NaN
         return None
-    return f"its image is wrong: the illuminance differs from the closed form by {mean:+.2%} (mean), {rms:.2%} (RMS)"
+    size = f"{percent(mean, 2)} (mean), {percent(rms, 2)} (RMS)"
+    return f"its image is wrong: the illuminance differs from the closed form by {size}"
