@@ -1,4 +1,4 @@
-"""Resources of the machine: processors, memory, disk, graphics cards.
+"""Resources of the machine: processors, memory, disk.
 
 Limits of a container (control groups) are included. None stands for a number that the system does not report.
 """
@@ -7,18 +7,13 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path, PurePosixPath
 
-from pixsim.base.children import safe_variables
-
 NO_LIMIT_BYTES = 1 << 60  # control groups v1 report a number near 2⁶³ if there is no limit
-SMI_SECONDS = 5.0
-SMI = ("nvidia-smi", "--query-gpu=name,driver_version,memory.total", "--format=csv,noheader")
 
 
 @dataclass(frozen=True)
@@ -117,13 +112,3 @@ def check_folder(path: Path) -> tuple[str | None, int | None]:
     except OSError:
         free = None
     return fault, free
-
-
-def graphics_cards() -> list[str]:
-    """Name, driver and memory of each NVIDIA card, from `nvidia-smi`; empty without it."""
-    try:
-        environment = os.environ | safe_variables()
-        done = subprocess.run(SMI, capture_output=True, text=True, errors="replace", timeout=SMI_SECONDS, env=environment)
-    except (OSError, subprocess.SubprocessError):
-        return []
-    return done.stdout.strip().splitlines() if done.returncode == 0 else []

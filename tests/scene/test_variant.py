@@ -129,18 +129,6 @@ def test_newest_first_resolves_links(tmp_path):
     assert [Path(path).name for path in result] == ["libLLVM-21.so", "libLLVM.so.18.1", "libLLVM-9.so.1"]
 
 
-def test_found_by_hand_is_listed_but_unused(tmp_path, fresh):
-    library = fake_llvm(tmp_path, 19)
-    fresh.setenv(variant.LLVM_VARIABLE, "")
-    fresh.setenv("LD_LIBRARY_PATH", str(tmp_path))
-    fresh.setattr(variant, "_system_candidates", lambda: [])
-    fresh.setattr(variant, "_wheel_candidates", lambda: [])
-    assert os.path.realpath(library) in variant.found_by_hand()
-    assert variant.find_llvm()[0] is None
-    fresh.setattr(variant, "_system_candidates", lambda: [os.path.realpath(library)])
-    assert os.path.realpath(library) not in variant.found_by_hand()
-
-
 # --- The user's variable ---
 
 

@@ -1,4 +1,4 @@
-"""Checks that may abort or hang (LLVM, Mitsuba, graphics driver): what a child process of `scene.variants.trial` does.
+"""Checks that may abort or hang (Mitsuba, graphics driver): what a child process of `scene.variants.trial` does.
 
 It writes JSON lines to a pipe of its own, apart from the output of libraries. Lines before an abort are used.
 """
@@ -14,9 +14,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from pixsim.base.errors import PixsimError
-from pixsim.base.machine import mapped_files
-from pixsim.scene.variants import variant as variants
-from pixsim.scene.variants.graphics import NO_DRIVER, NO_OPTIX, OPTIX, OPTIX_VARIABLE, loaded_driver, without_driver
+from pixsim.scene.variants.graphics import NO_DRIVER, NO_OPTIX, OPTIX, OPTIX_VARIABLE, loaded_driver
 from pixsim.scene.variants.trial import Line
 
 if TYPE_CHECKING:
@@ -26,27 +24,6 @@ if TYPE_CHECKING:
 TRIED_SCENE, TRIED_RESOLUTION = "csf", 64
 CAPABILITY = 75, 76  # CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR, _MINOR
 POINTS = 16  # of the chart, along each side of a cell
-
-
-def libraries() -> Iterator[Line]:
-    """Check each libLLVM; a line with its path comes first, in case the library aborts the process."""
-    candidates = [*variants.candidates(), *((path, variants.BY_HAND) for path in variants.found_by_hand())]
-    for path, origin in candidates:
-        yield {"judging": path, "origin": origin}
-        library = variants.Library(path, origin, variants.llvm_version(path))
-        yield {"path": path, "origin": origin, "version": library.version, "fault": library.fault}
-
-
-def imports(*modules: str) -> Iterator[Line]:
-    """Import each module and report its exception."""
-    for name in modules:
-        yield {"importing": name}
-        try:
-            with without_driver():
-                import_module(name)
-        except Exception as error:  # a broken package may raise anything
-            text = " ".join(str(error).split())
-            yield {"module": name, "error": f"{type(error).__name__}: {text}"}
 
 
 def driver() -> Iterator[Line]:
@@ -103,12 +80,10 @@ def render(variant: str = "") -> Iterator[Line]:
     import numpy as np
 
     import pixsim
-    from pixsim.scene.mitsuba import import_mitsuba
 
     start = time.perf_counter()
     try:
         scene = pixsim.load_scene(TRIED_SCENE, variant=variant or None, resolution=TRIED_RESOLUTION)
-        mitsuba = import_mitsuba(scene.choice.reading)
         yield {"variant": scene.choice.variant, "llvm": scene.choice.llvm_path, "reason": scene.choice.reason}
         loaded = time.perf_counter()
         illuminance_lx = pixsim.render(scene).illuminance_lx()
@@ -122,7 +97,6 @@ def render(variant: str = "") -> Iterator[Line]:
         "mean_error": float(illuminance_lx.mean() / expected.mean() - 1),
         "rms_error": float(np.sqrt(np.mean((illuminance_lx / expected - 1) ** 2))),
         "threads": int(import_module("drjit").thread_count()),
-        "compiled_in": list(mitsuba.variants()), "mapped_llvm": mapped_files("libLLVM"),
     }  # fmt: skip
 
 
@@ -142,7 +116,7 @@ def closed_form_lx(camera: Camera, resolution: int) -> Array:
     return charts.LUMINANCE_CD_PER_M2[1] * cells * factor
 
 
-TRIALS: dict[str, Callable[..., Iterator[Line]]] = {trial.__name__: trial for trial in (libraries, imports, driver, render)}
+TRIALS: dict[str, Callable[..., Iterator[Line]]] = {trial.__name__: trial for trial in (driver, render)}
 
 
 def main(fd: int, kind: str, *arguments: str) -> None:

@@ -27,7 +27,7 @@ from pixsim.scene.variants import graphics
 
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
 LLVM_WHEEL = "karellen-llvm-core"
-SYSTEM, BY_HAND = "system", "installed by hand"  # origins of a library, besides the variable and the wheel
+SYSTEM = "system"  # origin of a library, besides the variable and the wheel
 OLDEST_LLVM = 17
 LLVM, SCALAR, CUDA = "llvm_ad_spectral", "scalar_spectral", graphics.CUDA
 VARIANTS = (LLVM, SCALAR, CUDA)
@@ -112,15 +112,6 @@ def candidates() -> Iterator[tuple[str, str]]:
         yield asked, LLVM_VARIABLE
     yield from ((path, SYSTEM) for path in _system_candidates())
     yield from ((path, LLVM_WHEEL) for path in _wheel_candidates())
-
-
-def found_by_hand() -> list[str]:
-    """Return libraries in the usual places of manual installations; they are used through the variable only."""
-    homes = [Path("/usr/local/lib"), *Path("/usr/local").glob("llvm*/lib"), *Path("/opt").glob("*/lib"), Path(sys.prefix) / "lib"]
-    homes += [Path(prefix) / "lib" for prefix in (os.environ.get("CONDA_PREFIX"),) if prefix]
-    homes += [Path(folder) for folder in os.environ.get("LD_LIBRARY_PATH", "").split(":") if folder]
-    taken = {os.path.realpath(path) for path, origin in candidates() if origin != LLVM_VARIABLE}
-    return [path for path in _newest_first(file for home in homes for file in home.glob("libLLVM*.so*")) if path not in taken]
 
 
 def _newest_first(paths: Iterable[Path]) -> list[str]:
