@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import partial
 from pathlib import Path
-from string import Formatter
 from typing import Any, Self
 
 from pixsim.base.errors import shown
@@ -20,23 +19,12 @@ from pixsim.base.note_kinds import NOTES
 without_warnings = partial(warnings.catch_warnings, action="ignore", category=UserWarning)
 
 
-class _Templates(Formatter):
-    """The formatter of templates: shares in per cent have a space before their unit."""
-
-    def format_field(self, value: Any, format_spec: str) -> str:
-        text: str = format(value, format_spec)
-        return f"{text[:-1]} %" if format_spec.endswith("%") else text
-
-
-_TEMPLATES = _Templates()
-
-
 class Note(str):
     """The text of a note, with the id of its kind.
 
-    >>> note = Note("sizes_left_out", case="4t-bsi", sizes="1", reason="its photodiode has no area")
+    >>> note = Note("not_used", setting="lens.file", reason="the scene has its own")
     >>> note.id, str(note)
-    ('sizes_left_out', '4t-bsi: 1 µm left out: its photodiode has no area')
+    ('not_used', 'lens.file is not used: the scene has its own')
     """
 
     __slots__ = ("id",)
@@ -47,7 +35,7 @@ class Note(str):
 
         values : those that the kind's template names
         """
-        return cls.restored(id, shown(_TEMPLATES.format(NOTES[id].template, **values)).removesuffix("."))
+        return cls.restored(id, shown(NOTES[id].template.format(**values)).removesuffix("."))
 
     @classmethod
     def restored(cls, id: str, text: str) -> Self:
@@ -65,7 +53,7 @@ class Note(str):
 
     @property
     def doubts(self) -> bool:
-        """Whether it puts a number of the result in doubt; else it is advice, which --quiet hides."""
+        """Whether numbers may not be of what was asked for, stated or measured; --quiet hides the other notes."""
         return NOTES[self.id].doubts
 
     def as_dict(self) -> dict[str, str]:

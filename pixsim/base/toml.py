@@ -63,7 +63,8 @@ def _check_schema(path: Path, text: str) -> None:
     if stated := STATED.match(text):
         check_not_newer(f"settings '{path}'", stated[1] and int(stated[1]))
         if stated[1] is None:
-            warn(Note("of_another_version", path=path, version=of_another(None)))
+            words = f"settings '{path}' state {of_another(None)}: their results may differ from those beside them; write them anew"
+            warn(Note("file_as_read", words=words))
 
 
 def depth(value: object) -> int:

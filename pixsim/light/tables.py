@@ -208,7 +208,8 @@ def read_table(
         stated, power = units[at]
         highest = max(float(row[at]) for row in rows)
         if stated == "%" and highest <= 1:
-            warn(Note("per_cent", path=path, highest=highest))
+            words = f"'{path}' states per cent, and no value is above {highest:g} %: it is read so. "
+            warn(Note("file_as_read", words=f"{words}Fractions have no % in their title"))
         scaled = tuple(_scaled(row[at], power) for row in rows)
         columns.append(Column(names[at], "" if stated == "%" else stated, scaled))
     nm = tuple(_scaled(row[0], POWERS[unit or "nm"]) for row in rows)

@@ -63,6 +63,7 @@ MAX_RESIDUAL_PX = 2.0  # RMS distance of the rows' edges from the polynomial
 MIN_LINES = 0.9  # share of the lines that the polynomial crosses in the picture, with an edge there
 MAX_BELOW_BLACK = 0.01  # of the step: level of the dark side below black, which dark subtraction leaves
 MAX_SATURATED = 1e-3  # of a region's pixels
+SHARPENS = "this sharpens the edge"  # what clipping does
 LUMINANCE, LUMINANCE_WEIGHTS = "luminance", {"R": 0.2126, "G": 0.7152, "B": 0.0722}  # ISO 12233, of ITU-R BT.709
 COVERAGE = 0.95  # of the intervals
 FINER = 4  # frequencies for each of the DFT
@@ -384,7 +385,8 @@ def green_places(data: Array, channel: str, start: tuple[int, int]) -> list[tupl
         got = "'G' of a picture that states no layout, and in which no diagonal of 2 × 2 pixels stands out as green"
         raise invalid("channel", got, "row,column", hint)
     places = " and ".join(f"{row},{column}" for row, column in alike)
-    warn(Note("edge_channel", places=places))
+    words = f"the picture states no layout: green is taken to be at {places} (row,column) of 2 × 2 pixels"
+    warn(Note("file_as_read", words=f"{words}, which agree with each other"))
     return list(alike)
 
 
@@ -470,7 +472,8 @@ def contrast_of(parts: Sequence[WeightedChannel]) -> float:
             raise invalid("edge picture", got, f"at least {MIN_STEP_SIGMAS:g} σ", hint)
     below = -min(low, high) / abs(high - low)
     if below > MAX_BELOW_BLACK:
-        warn(Note("edge_black", share=below))
+        words = f"the dark side is below black by {percent(below, 1)} of the step: the black level is too high for the contrast"
+        warn(Note("edge_picture", words=words))
     return float(contrast)
 
 
@@ -526,9 +529,9 @@ def check_clipping(grids: Sequence[ChannelGrid], is_unclipped: bool) -> None:
             got = f"a {name} side with {percent(at_top, 1)} of its pixels at exactly {sign * top:g} above black, "
             got += f"beside noise of σ = {noise * code:.3g} on the other side"
             if name == "dark":
-                warn(Note("edge_clipped", words=f"{got}, as if it were clipped at black"))
+                warn(Note("edge_picture", words=f"{got}, as if it were clipped at black: {SHARPENS}"))
             elif is_unclipped:
-                warn(Note("edge_clipped", words=f"{got}, as if it were clipped"))
+                warn(Note("edge_picture", words=f"{got}, as if it were clipped: {SHARPENS}"))
             else:
                 hint = "Use less light. If these values are right, state a --saturation above them (is_unclipped=True)."
                 raise invalid(
@@ -557,7 +560,7 @@ def check_kinks(grids: Sequence[ChannelGrid], fit: EdgeFit, binned: Binned, is_u
     ]
     if not any(clipped) or max(kinks) < MIN_KINK_RATIO * min(kinks):
         if all(clipped):
-            warn(Note("edge_clipped", words="a kink at both sides, which no lens leaves and clipping does"))
+            warn(Note("edge_picture", words=f"a kink at both sides, which no lens leaves and clipping does: {SHARPENS}"))
         return
     at = int(np.argmax(kinks))
     if not clipped[at]:
@@ -566,7 +569,7 @@ def check_kinks(grids: Sequence[ChannelGrid], fit: EdgeFit, binned: Binned, is_u
     got = f"a {name} side at exactly {levels[at]:g} above black that the edge runs into at {percent(kinks[at])} of its steepest "
     got += f"slope, beside {percent(kinks[1 - at])} on the other side"
     if is_unclipped:
-        warn(Note("edge_clipped", words=f"{got}, as if it were clipped"))
+        warn(Note("edge_picture", words=f"{got}, as if it were clipped: {SHARPENS}"))
         return
     hint = f"Use {'less light' if name == 'bright' else 'a higher black level'}. If these values are right, state a --saturation "
     hint += "above them (is_unclipped=True)."
@@ -753,7 +756,11 @@ def warn_of_misfit(residual_px: Array, noise_px: Array, degree: int, spacing: in
     misfit = math.sqrt(max(scatter**2 - noise**2, 0.0))
     if misfit > MAX_MISFIT_PX * spacing and scatter**2 > MIN_MISFIT_RATIO * noise**2:
         loss = -math.expm1(-2 * (math.pi * misfit * NYQUIST_CY_PER_PX) ** 2)
-        warn(Note("edge_shape", degree=degree, misfit_px=misfit, loss=loss))
+        words = (
+            f"the edge is no polynomial of degree {degree}: its rows scatter about it by {misfit:.2g} px (RMS), which lowers the "
+            f"SFR at Nyquist by about {percent(loss)}; take a region in which it is even"
+        )
+        warn(Note("edge_region", words=words))
 
 
 def distance_from_edge(grid: ChannelGrid, fit: EdgeFit) -> Array:
@@ -953,8 +960,9 @@ def warn_of_curve(edge: EdgeResponse) -> None:
             continue
         at = int(np.flatnonzero(among)[edge.sfr[among].argmax()])
         low, high = edge.sfr_interval[:, at]
-        frequency = edge.frequency_cy_per_px[at]
-        warn(Note("edge_sharpened", cause=cause, sfr=highest, frequency_cy_per_px=frequency, low=low, high=high))
+        words = f"{cause}: the SFR is {highest:.3g} at {edge.frequency_cy_per_px[at]:.3f} cy/px; "
+        words += f"the noise leaves {low:.3g} to {high:.3g}"
+        warn(Note("edge_picture", words=words))
 
 
 def warn_of_shading(distance_px: Array, spread: Array, variance: Array) -> None:
@@ -973,7 +981,12 @@ def warn_of_shading(distance_px: Array, spread: Array, variance: Array) -> None:
     step = abs(float(spread[sides[1]].mean() - spread[sides[0]].mean()))
     change = (slopes[1] - slopes[0]) * half_px
     if abs(change) > max(MAX_SHADING * step, SHADING_SIGMAS * math.sqrt(sum(errors)) * half_px):
-        warn(Note("edge_shading", change=abs(change) / step, distance_px=half_px))
+        words = (
+            f"shading: beside the edge the light changes by {percent(abs(change) / step, 1)} of the step within {half_px:g} px, "
+            "which the SFR takes for blur or sharpening at low frequency; correct the picture with a flat field, or take a "
+            "smaller region"
+        )
+        warn(Note("edge_region", words=words))
 
 
 def warn_of_correlation(grids: Sequence[ChannelGrid], fit: EdgeFit, distance_px: Array, spread: Array) -> None:
@@ -991,7 +1004,11 @@ def warn_of_correlation(grids: Sequence[ChannelGrid], fit: EdgeFit, distance_px:
         if pairs.any() and noise[beside].std() > MIN_NOISE * step:
             found.append(float((noise[:, 1:] * noise[:, :-1])[pairs].mean() / (noise[beside] ** 2).mean()))
     if found and max(found) > MAX_CORRELATION:
-        warn(Note("edge_noise", correlation=max(found)))
+        words = (
+            f"the noise of neighbouring pixels is correlated ({max(found):.2f}), as after demosaicking, denoising or scaling: the "
+            "intervals are too narrow"
+        )
+        warn(Note("edge_picture", words=words))
 
 
 # Of what a file states about a picture.
@@ -1030,7 +1047,8 @@ def read_edge_picture(path: Path, channel: str | None = None) -> EdgePicture:
     if data.dtype.kind not in "biuf":
         raise invalid("edge picture", f"'{path}' of {data.dtype}", "real numbers")
     if ENCODING in metadata:
-        warn(Note("edge_encoded", path=path, encoding=metadata[ENCODING]))
+        encoding = f"'{path}' states an encoding for displays ({metadata[ENCODING]})"
+        warn(Note("file_as_read", words=f"{encoding}: the SFR is that of light only if the values are linear in it"))
     rgb = None
     if data.ndim == 3:
         rgb = channel or LUMINANCE
@@ -1054,7 +1072,7 @@ def read_edge_picture(path: Path, channel: str | None = None) -> EdgePicture:
     if stated_number(metadata, "saturated_fraction") > MAX_SATURATED:
         share = stated_number(metadata, "saturated_fraction")
         words = f"'{path}' states {percent(share, 1)} saturated pixels, which need not be at the top code and may lie beside it"
-        warn(Note("edge_clipped", words=words))
+        warn(Note("edge_picture", words=f"{words}: {SHARPENS}"))
     bits = numbers.get("bits", BITS_OF_PICTURES if is_image and data.dtype == np.uint16 else None)
     top = numbers.get("white_level_dn", None if bits is None else 2.0**bits - 1)
     layout_text = None if layout is None or len(layout.channels) < 2 else str(layout)

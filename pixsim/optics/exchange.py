@@ -130,7 +130,11 @@ def _from_cube(path: Path, cube: foreign.Cube, camera: Camera | None, units: str
         header[OUTLIERS] = [list(place) for place in outliers]
         row, column = outliers[0]
         named = f"row {row}, column {column}" + (f" and {len(outliers) - 1} more" if len(outliers) > 1 else "")
-        warn(Note("outliers", file=path.name, limit=OUTLIER, named=named))
+        words = (
+            f"has samples that stand alone, more than {OUTLIER:g} times all others ({named}), as fireflies of a path tracer do: "
+            "the automatic exposure is as if they were like their neighbours. Remove them at their source"
+        )
+        warn(Note("light_file", file=path.name, words=words))
     _note_bands(path, nm, width_nm)
     # The light is taken as uniform within each band.
     nodes = nm[:, None] + width_nm[:, None] * ((np.arange(PARTS_OF_A_BAND) + 0.5) / PARTS_OF_A_BAND - 0.5)
@@ -142,9 +146,11 @@ def _note_bands(path: Path, nm: Array, width_nm: Array) -> None:
     """Warn of bands so wide that lines and filters within them are not resolved."""
     if nm.size > 1 and width_nm.max() > WIDE_BAND_NM:
         low, high = nm[0] - width_nm[0] / 2, nm[-1] + width_nm[-1] / 2
-        widest_nm = width_nm.max()
-        ends = {"low_nm": low, "high_nm": high, "limit_nm": WIDE_BAND_NM}
-        warn(Note("wide_bands", file=path.name, count=nm.size, width_nm=widest_nm, **ends))
+        words = (
+            f"has {nm.size} bands of up to {width_nm.max():g} nm: they stand for {low:g}-{high:g} nm, with the light uniform "
+            f"within each and none outside. Colour and quantum efficiency need bands of {WIDE_BAND_NM:g} nm or less"
+        )
+        warn(Note("light_file", file=path.name, words=words))
 
 
 def write_npz(path: str | os.PathLike[str], image: SpectralImage) -> None:
@@ -176,7 +182,12 @@ def _read_pixsim_exr(path: Path, camera: Camera | None, units: str | None, pitch
     _agreed_unit(path, foreign.IRRADIANCE_UNIT, units)
     _agreed_pitch(path, image.pitch_um, pitch_um, camera, image.shape[1])
     if before := image.header.get("reduced"):
-        warn(Note("reduced_light", file=path.name, factor=before["factor"], pitch_um=image.pitch_um))
+        factor = f"{before['factor']:.4g}"
+        words = (
+            f"holds means over {factor} × {factor} samples of the render, {image.pitch_um:.4g} µm wide: what is finer is lost, and "
+            "results differ; pixsim run --irradiance full keeps it"
+        )
+        warn(Note("light_file", file=path.name, words=words))
     # Check the pictures of the factors: a band that is made of them may be slightly below zero, as may be what rings.
     planes = list(image.factors[1]) if image.factors else [image.band(band) for band in range(image.wavelength_nm.size)]
     for plane, centre_nm in zip(planes, np.resize(image.wavelength_nm, len(planes)), strict=True):

@@ -270,7 +270,8 @@ def find_glass(
                 got = f"{named(name)}, which is not in the catalogues that the file names ({', '.join(names_in(makers))})"
                 return _refuse(where, got, ", ".join(found), f"Glasses of one name differ between makers. {hint}".strip())
             lacking = ", ".join(names_in(unknown))
-            warn(Note("glass_elsewhere", where=where, glass=named(name), catalogue=glass.name, missing=lacking))
+            words = f"{named(name)} is taken from {glass.name}; the file names catalogues that pixsim lacks ({lacking})"
+            warn(Note("lens_as_read", lens=where, words=words))
             of_listed = found
         found = of_listed[:1]
     elif ":" not in wanted and len(found) == 1 and _is_shared(wanted, found[0]):

@@ -172,7 +172,7 @@ def lens_of(prescription: Prescription) -> Lens:
     lens = _without_fields(prescription)
     notes = list(prescription.notes)
     largest_deg, limit = _largest_field(lens)
-    notes += [Note("lens_fields", lens=prescription.name, words=limit)] if limit else []
+    notes += [Note("lens_as_read", lens=f"lens '{prescription.name}'", words=limit)] if limit else []
     lens = lens.with_same_rays(max_field_deg=largest_deg)
     if prescription.vignetting:
         lens = lens.with_same_rays(vignetting=_vignetting(lens, prescription.vignetting))
@@ -325,7 +325,7 @@ def _notes_of_stopped_light(lens: Lens) -> tuple[Note, ...]:
             "its vignetting factors are not used, so that nothing is cut twice. "
             f'{words(lens.with_same_rays(vignetting=rows))} with them: lens.vignetting_factors = "use"'
         )
-    return tuple(Note("lens_stops_light", lens=prescription.name, words=text) for text in texts)
+    return tuple(Note("lens_as_read", lens=f"lens '{prescription.name}'", words=text) for text in texts)
 
 
 def _light(lens: Lens) -> tuple[Array, Array]:

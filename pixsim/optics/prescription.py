@@ -645,7 +645,7 @@ def _read_zmx(path: Path, options: PrescriptionOptions, own: Mapping[str, Glass]
     prescription = Prescription(
         one_line(path.stem), one_line(title, 200), f"file '{path.name}'", tuple(surfaces), stop, aperture, value, kind, largest,
         wavelengths, primary, object_distance, factors if used else (), () if used else factors, fixed,
-        tuple(Note("lens_as_read", lens=one_line(path.stem), words=note) for note in notes),
+        tuple(Note("lens_as_read", lens=f"lens '{one_line(path.stem)}'", words=note) for note in notes),
     )  # fmt: skip
     return _checked(prescription.scaled(scale), f"'{path}'", lambda index: blocks[index + 1].place(path))
 

@@ -154,7 +154,8 @@ def target_notes(result: StudyResult) -> list[Note]:
             limit = f"{evaluations} of at most {study.max_evaluations} evaluations (max_evaluations)"
         shown_um, target_um = told_apart(half_um, study.target_ci_um)
         width = f"± {shown_um} µm" if math.isfinite(half_um) else "open at an end"
-        notes.append(Note("interval_wide", case=curve.label, width=width, limit=limit, target_um=target_um))
+        words = f"{width} after {limit}; the target is ± {target_um} µm (target_ci_um)"
+        notes.append(Note("interval", case=curve.label, words=words))
     return notes
 
 
@@ -170,7 +171,8 @@ def silent_notes(result: StudyResult) -> list[Note]:
                 if sizes := sorted(silent & which):
                     listed = ", ".join(f"{pitch_um:g}" for pitch_um in sizes)
                     reason = f": {reasons[sizes[0]]}" if reasons.get(sizes[0]) else ""
-                    note = Note("sizes_without_number", metric=metric.words, why=why, sizes=listed, reason=reason)
+                    words = f"{metric.words} {why} at {listed} µm, and its fitted curve does without{reason}"
+                    note = Note("undefined_metric", words=words)
                     notes.append(note.of([curve.label]) if curve.label else note)
     return notes
 
@@ -193,7 +195,8 @@ def open_notes(result: StudyResult) -> list[Note]:
         if tried_um != curve.pitch_um[end]:  # said by `silent_notes`
             continue
         hint = _closing_size(study, curve, tried_um, smallest)
-        notes.append(Note("interval_open", case=curve.label, end=word, pitch_um=tried_um, hint=hint))
+        words = f"open, since the {word} size tried, {tried_um:.4g} µm, may be the best; {hint}"
+        notes.append(Note("interval", case=curve.label, words=words))
     return notes
 
 

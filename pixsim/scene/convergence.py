@@ -240,10 +240,10 @@ def _limit_note(ended: EndedBy, plan: Plan, noise: RenderNoise, max_seconds: flo
     }
     if noise.tolerance_delta_e is not None and noise.delta_e is not None:
         remains = "render noise makes up to {} ΔE, {} tolerated".format(*told_apart(noise.delta_e, noise.tolerance_delta_e))
-        return Note("render_noise", cause=causes[ended], remains=remains, hint="Raise --max-seconds or --tolerance-delta-e")
+        return Note("render_noise", words=f"{causes[ended]}: {remains}. Raise --max-seconds or --tolerance-delta-e")
     remains = "render noise is {} of the sensor noise, target {}".format(*told_apart(noise.fraction, noise.target))
     hint = more_samples(noise.fraction, noise.target) if ended == "samples" else RAISE
-    return Note("render_noise", cause=causes[ended], remains=remains, hint=hint)
+    return Note("render_noise", words=f"{causes[ended]}: {remains}. {hint}")
 
 
 SECONDS_OF_LIMIT = 30.0  # of `Plan.most_samples` on two cores

@@ -152,13 +152,17 @@ def real_lens_warnings(camera: Camera, tiling: Tiling | None, defocus: Sequence[
         return []
     notes = []
     if dark := dark_share(camera):
-        notes.append(Note("image_circle", share=dark, lens=camera.lens.file))
+        notes.append(Note("image_circle", share=percent(dark, 1), lens=camera.lens.file))
     wrong = [found for found in defocus if found.error > BLUR_TOLERANCES * tolerance_e]
     if wrong:
         right = [found for found in defocus if found not in wrong]
-        largest = "; ".join(_amount(found) for found in wrong[:STATED])
-        right_words = f"; it is right with discs up to {max(found.disc_um for found in right):.3g} µm" if right else ""
-        notes.append(Note("lens_defocus", limit=BLUR_TOLERANCES * tolerance_e, largest=largest, right=right_words))
+        words = (
+            "what is out of focus gets a thin lens's disc and the blur that the real lens has in focus, which is wrong by more "
+            f"than {percent(BLUR_TOLERANCES * tolerance_e, 1)}: {'; '.join(_amount(found) for found in wrong[:STATED])}"
+        )
+        if right:
+            words += f"; it is right with discs up to {max(found.disc_um for found in right):.3g} µm"
+        notes.append(Note("lens_blur", words=words))
     if tiling is not None and tiling.error > BLUR_TOLERANCES * tolerance_e:
         size = f"of up to {percent(tiling.error, 1)} of" if tiling.error < 1 else "as large as"
         size += f" the picture's contrast, above {percent(BLUR_TOLERANCES * tolerance_e, 1)}"
@@ -173,5 +177,5 @@ def real_lens_warnings(camera: Camera, tiling: Tiling | None, defocus: Sequence[
                 "the film is too coarse for it, and it is left out; "
                 f"up to {percent(tiling.lacking, 1)} of a point's light would leave its cell. Take a finer film"
             )
-        notes.append(Note("lens_blur", size=size, reason=reason))
+        notes.append(Note("lens_blur", words=f"the blur of the real lens has an rms error {size}: {reason}"))
     return notes

@@ -260,7 +260,7 @@ class Renderer:
             raise error
         if self.begun or self.source.choice.asked:
             raise PixsimError(f"{error} To render without the graphics card: --variant {processors.variant}.") from None
-        warn(Note("graphics_card", variant=processors.variant, error=error))
+        warn(Note("machine", words=f"rendering with {processors.variant}, since the graphics card failed: {error}"))
         self.source = replace(self.source, choice=processors)
         self.job = replace(self.job, variant=processors.variant)
         self.__dict__.pop("tracer", None)

@@ -42,26 +42,38 @@ def pixel_notes(physics: PixelPhysics, camera: Camera | None = None, irradiance:
     notes += stack_notes(physics, camera, irradiance.wavelength_nm)
     sensitivities = physics.pixel.colour.sensitivities if physics.pixel.colour else None
     if isinstance(sensitivities, str) and not has_common_scale(sensitivities):
-        notes.append(Note("channel_scales", camera=sensitivities))
+        words = (
+            f"pixel.colour.sensitivities: each channel of {sensitivities} was scaled to its own peak; their ratio is unknown, and "
+            "with it the noise before white balance. Balanced colours do not depend on it"
+        )
+        notes.append(Note("assumed", words=words))
     notes += focus_notes(physics.read_pitch_um, camera, irradiance)
     for name, curve in tables_of(physics).items():
         share = share_beyond(curve, irradiance, physics)
         if share > SHOWN_SHARE:
             end_nm, last = curve[-1]
             filter_nm = setting("pixel.infrared_cut_nm", end_nm)
-            notes.append(Note("table_ends", name=name, end_nm=end_nm, last=last, share=share, setting=filter_nm))
+            words = (
+                f"{name} ends at {end_nm:g} nm with {last:g}, and is 0 beyond: if it stayed so, {percent(share)} of the electrons "
+                f"would come from there. Extend the table, or state a filter ({filter_nm})"
+            )
+            notes.append(Note("spectral_range", words=words))
     change = flat_efficiency_change(irradiance, physics)
     if abs(change) > FLAT_CHANGE:
         stated = setting("pixel.quantum_efficiency_nm", USUAL_NM)
         more = "more" if change > 0 else "fewer"
-        efficiency = physics.pixel.quantum_efficiency
-        values = {"efficiency": efficiency, "usual_nm": USUAL_NM, "change": abs(change), "more": more, "setting": stated}
-        notes.append(Note("flat_efficiency", **values))
+        words = (
+            f"pixel.quantum_efficiency = {physics.pixel.quantum_efficiency:g} holds at every wavelength; if it was measured at "
+            f"{USUAL_NM:g} nm, the absorption of silicon would make {percent(abs(change))} {more} electrons of this light. State "
+            f"its wavelength ({stated}), or a table"
+        )
+        notes.append(Note("spectral_range", words=words))
     shares = infrared_shares(irradiance, physics)
     if max(shares.values(), default=0.0) > INFRARED_SHARE:
         channels = ", ".join(f"{percent(share)} of {letter}" for letter, share in shares.items())
         filter_nm = setting("pixel.infrared_cut_nm", 650.0)
-        notes.append(Note("infrared", limit_nm=INFRARED_NM, channels=channels, setting=filter_nm))
+        words = f"infrared beyond {INFRARED_NM:g} nm is {channels}, which no eye sees: it is part of the colour error"
+        notes.append(Note("spectral_range", words=f"{words}. A filter keeps it out ({filter_nm})"))
     return notes
 
 

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
 from pixsim.base.arrays import Array, in_threads, strips, transposed
+from pixsim.base.digits import percent
 from pixsim.base.errors import invalid
 from pixsim.base.notes import Note, warn
 from pixsim.base.progress import watched_share
@@ -501,7 +502,12 @@ def warn_of_unknown_glasses(camera: Camera, wavelength_nm: Array, weight: Array)
     low, high = traced_lens(camera.lens, camera.object_distance_m).known_nm
     share = float(weight[(wavelength_nm < low) | (wavelength_nm > high)].sum() / weight.sum())
     if share > UNKNOWN_SHARE:
-        warn(Note("glass_range", share=share, low_nm=low, high_nm=high, lens=camera.lens.file))
+        words = (
+            f"{percent(share, 1)} of the electrons are of light outside {low:.4g} to {high:.4g} nm, where the glasses of "
+            f"'{camera.lens.file}' are not known: it is blurred with the wavefronts of the nearest of these. An infrared filter "
+            "(pixel.infrared_cut_nm) keeps it out"
+        )
+        warn(Note("spectral_range", words=words))
 
 
 def diffusion_of(physics: PixelPhysics) -> Callable[[Array, float], Array] | None:

@@ -511,7 +511,8 @@ def differences_of_types(
         if sample_of(types.sample, first, other).inputs:
             uncertain[other] = result.groups_of_pair(other)
         else:
-            warn(Note("nothing_drawn", what=f"{first} and {other}", reason="no number of these two is unknown"))
+            words = f"{first} and {other}: nothing is drawn, since no number of these two is unknown"
+            warn(Note("no_effect", words=words))
     base = {
         (group.first.group, one.case.sensor): one
         for other, groups in uncertain.items()

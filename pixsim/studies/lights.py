@@ -227,7 +227,10 @@ def without_target(request: LightRequest, across: int) -> SpectralImage:
     scene = scene.with_resolution(across)
     image, noise = request.render(scene, request.plan_of(scene))
     if noise.relative > 0:
-        warn(Note("target_noise", noise=100 * noise.relative))
+        words = (
+            f"the light has render noise of {100 * noise.relative:.2g} %: what of it differs without the target counts as signal"
+        )
+        warn(Note("render_noise", words=words))
     return image
 
 

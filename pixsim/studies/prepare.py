@@ -414,13 +414,12 @@ def fitted_range(study: Study, camera: Camera) -> Study:
         wished, high = high, min(high, max(min(height_um, width_um) / MIN_ACROSS, own_um))
         if high < wished:
             reason = f"a larger one leaves fewer than {MIN_ACROSS} on the die"
-            warn(Note("smaller_range", end="largest", whose="", pitch_um=high, wished_um=wished, reason=reason))
+            warn(_range_note("largest pixel size", high, wished, reason))
     for name in study.technologies:
         if (lens_um := largest_lens_um(study, name)) < high:
             reason = "its stack is too low for a wider ideal microlens (h < p/√π); larger ones: pixel.stack.height_um, or "
             reason += "pixel.stack.microlens = 'none'"
-            whose = f" of {label_of(name)}"
-            warn(Note("smaller_range", end="largest", whose=whose, pitch_um=lens_um, wished_um=high, reason=reason))
+            warn(_range_note(f"largest pixel size of {label_of(name)}", lens_um, high, reason))
     if pitch.min_um is not None:
         check_smallest(pitch.min_um, camera, "pitch.min_um")
     else:
@@ -445,11 +444,15 @@ def fitted_range(study: Study, camera: Camera) -> Study:
                 f"it has {most / 1e6:.3g} million pixels on the die, {limit}; smaller ones: --pitch.min-um, or a part of the die "
             )
             reason += "by --window"
-            warn(Note("smaller_range", end="smallest", whose="", pitch_um=low, wished_um=min(lows), reason=reason))
+            warn(_range_note("smallest pixel size", low, min(lows), reason))
     if own_um is None and low == pitch.min_um:
         return study
     chosen = {name: value for name, value in (("min_um", low), ("max_um", high)) if value is not None}
     return study.model_copy(update={"pitch": PitchRange.model_validate(pitch.model_dump(exclude_unset=True) | chosen)})
+
+
+def _range_note(size: str, pitch_um: float, asked_um: float, reason: str) -> Note:
+    return Note("left_out", words=f"the {size} is {pitch_um:.4g} µm in place of {asked_um:.4g} µm: {reason}")
 
 
 def check_smallest(pitch_um: float, camera: Camera, name: str) -> None:

@@ -59,7 +59,7 @@ from pixsim.viewer.display_options import Display
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.merging import merge
 from pixsim.viewer.setting import Effort, Run, Setting
-from pixsim.viewer.settings_file import packaged_sensors, settings_layer, warn_of_mixed_sensors
+from pixsim.viewer.settings_file import packaged_sensors, settings_layer
 from pixsim.viewer.without_effect import GivenSettings, changed_settings, warn_of_settings_without_effect
 
 if TYPE_CHECKING:
@@ -186,7 +186,6 @@ def read_sensors(
     sensors: list[Case[Run]] = []
     for file, label in zip(files, labels_of([file_label(file) for file in files]), strict=True):
         own = sensor_layer(file)
-        warn_of_mixed_sensors([own, *config])
         run: Run = checked(Run, [lens, own, *config, Layer(options), *([overrides] if overrides else [])])
         first = sensors[0].settings if sensors else run
         if unused := [n for n in own.table if n not in OF_A_SENSOR and getattr(run, n, None) != getattr(first, n, None)]:

@@ -51,7 +51,7 @@ from pixsim.sensor.quantities import Pitch
 from pixsim.viewer.develop_options import check_develop
 from pixsim.viewer.merging import merge, merged
 from pixsim.viewer.setting import Run, Setting
-from pixsim.viewer.settings_file import packaged_sensors, settings_layer, warn_of_mixed_sensors
+from pixsim.viewer.settings_file import packaged_sensors, settings_layer
 
 # --- axes and conditions ----------------------------------------------------------------------------------------------------------
 
@@ -664,7 +664,6 @@ def study_layers(studies: Sequence[Layer], files: Sequence[Layer], options: dict
     """
     options = dict(options or {})
     sensors = [layer for layer in files if not has_study_settings(layer.table)]
-    warn_of_mixed_sensors(sensors)
     pixel_options = options.get("pixel", {})
     sensor = [*sensors, Layer({name: options[name] for name in ("camera", "pixel") if name in options})]
     settings: Run = checked(Run, sensor)  # so that errors name the fields as they were given

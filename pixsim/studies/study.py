@@ -192,7 +192,7 @@ def warn_of_left_out(cases: Sequence[LitCase], curves: Sequence[Curve | str]) ->
         if isinstance(curve, Curve) and curve.left_out:
             sizes = dict(curve.left_out)
             listed = ", ".join(f"{pitch_um:g}" for pitch_um in sorted(sizes))
-            notes.append(Note("sizes_left_out", case=lit.label, sizes=listed, reason=sizes[max(sizes)]))
+            notes.append(Note("left_out", words=f"{lit.label}: {listed} µm left out: {sizes[max(sizes)]}"))
     for note in few([notes]):
         warn(note)
 
@@ -215,7 +215,7 @@ def warn_of_idle_axes(study: Study, found: Sequence[StudyResult]) -> None:
         if any(len(group) > 1 for group in groups.values()) and all(len(set(group)) == 1 for group in groups.values()):
             settings = ", ".join(dict.fromkeys(".".join(path) for path in axis.paths))
             why = f"its values are the study's own, or other settings or a data sheet decide in place of {settings}"
-            warn(Note("idle_axis", axis=axis.name, reason=why))
+            warn(Note("no_effect", words=f"the axis {axis.name} changes nothing: {why}"))
 
 
 def findings_of_cases(parts: Sequence[StudyResult], workers: Workers, progress: Progress) -> tuple[tuple[Finding, ...], ...]:
@@ -263,7 +263,7 @@ def draw_types(
             results += _types_by_metric(bases, asked, folder / types_file(metric), workers, progress)
         else:
             reason = "it tells no best size of some of the study's own sensors"
-            warn(Note("nothing_drawn", what=f"sensor types for {metric.words}", reason=reason))
+            warn(Note("no_effect", words=f"sensor types for {metric.words}: nothing is drawn, since {reason}"))
     return results
 
 
@@ -479,7 +479,7 @@ def run_prepared(
             found = [part for part in made if isinstance(part, StudyResult)]
         if not found:
             raise PixsimError(reasons[0])
-        for note in few([[Note("case_left_out", reason=reason) for reason in reasons]]):
+        for note in few([[Note("left_out", words=f"a case is left out: {reason}") for reason in reasons]]):
             warn(note)
         warn_of_idle_axes(chosen, found)
         curves = found[0].curves

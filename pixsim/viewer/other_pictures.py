@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from pixsim.base.arrays import Finites
+from pixsim.base.digits import percent
 from pixsim.base.errors import invalid
 from pixsim.base.notes import Note, warn
 from pixsim.viewer.display import shown_luminance
@@ -67,7 +68,7 @@ def score_pictures(
     ideal, image = ideal.astype(float), image.astype(float)
     beyond = fraction_beyond_white(ideal if ideal.ndim == 2 else np.moveaxis(ideal, 2, 0))
     if beyond > CLIPPED_WARNING:
-        warn(Note("white_clipped", share=beyond, hint="white is 1"))
+        warn(Note("white_clipped", share=percent(beyond), hint="white is 1"))
     ideal, image = shown_luminance(ideal, display), shown_luminance(image, display)
     rows, columns = ideal.shape[:2]
     edges = np.arange(rows + 1.0), np.arange(columns + 1.0)  # a dot is a unit of length

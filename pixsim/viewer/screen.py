@@ -11,7 +11,7 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
-from pixsim.base.digits import exposure_times
+from pixsim.base.digits import exposure_times, percent
 from pixsim.base.errors import invalid
 from pixsim.base.notes import Note, warn
 from pixsim.light.spectral import DIFFUSER, DIFFUSER_W, LEAST_LM_PER_W, WHITE_RADIANCE, SpectralImage
@@ -248,7 +248,7 @@ def white_header(seen: Sequence[tuple[Imaging, SpectralImage]]) -> dict[str, Any
     of_all = "" if len(seen) == 1 else ", the largest of these sensors'"
     source = f"the {WHITE_FROM} in the sensor's response{of_all}, rounded up"
     fixed = f"set {setting(f'display.{name}', white)} to fix this value"
-    warn(Note("white_estimated", white=white, unit=unit, source=source, hint=fixed))
+    warn(Note("assumed", words=f"the scene does not define its white: using {white:g} {unit}, {source}; {fixed}"))
     return {HEADER_OF_WHITE[name]: white, "white_from": WHITE_FROM}
 
 
@@ -294,7 +294,7 @@ def warn_of_clipping(beyond_white: float, header: Mapping[str, Any], display: Di
     """Warn if the display clips more of the ideal image than `CLIPPED_WARNING`, on behalf of the caller of the caller."""
     if beyond_white > CLIPPED_WARNING:
         higher = displays.setting_of_white(header, display)
-        warn(Note("white_clipped", share=beyond_white, hint=f"raise {higher}"))
+        warn(Note("white_clipped", share=percent(beyond_white), hint=f"raise {higher}"))
 
 
 class LightLevel(NamedTuple):

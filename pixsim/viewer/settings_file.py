@@ -9,7 +9,6 @@ from typing import Any
 
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.layers import Layer, listed, plain_tables
-from pixsim.base.notes import Note, warn
 from pixsim.base.records import checked
 from pixsim.base.toml import packaged, read_toml, resolve_file
 from pixsim.light.curves import RESPONSES
@@ -17,7 +16,6 @@ from pixsim.optics.lens_options import as_file_names
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.spread import without_uncertainty
 from pixsim.viewer.develop_options import has_tone_file
-from pixsim.viewer.merging import merged
 from pixsim.viewer.setting import Run
 
 FILES_OF_LENS = "file", "veiling_glare", "relative_illumination"
@@ -80,20 +78,6 @@ def settings_layer(file: str | os.PathLike[str]) -> Layer:
     return Layer(table, str(path))
 
 
-def warn_of_mixed_sensors(files: Sequence[Layer]) -> None:
-    """Warn if several files set the table [pixel], with the fields that come from each: one sensor got values of another."""
-    sensors = [layer for layer in files if isinstance(layer.table.get("pixel"), dict)]
-    if len(sensors) < 2:
-        return
-    left = set(merged(sensors)["pixel"])
-    parts: list[str] = []
-    for layer in reversed(sensors):
-        own = [name for name in layer.table["pixel"] if name in left]
-        left -= set(own)
-        parts.insert(0, f"{layer.source}: {', '.join(own) or 'nothing'}")
-    warn(Note("mixed_sensors", count=len(sensors), parts="; ".join(parts)))
-
-
 def run_settings(config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], options: Mapping[str, Any]) -> Run:
     """Return settings from defaults, files and options, in order of precedence. Raises PixsimError that lists all problems.
 
@@ -101,7 +85,6 @@ def run_settings(config: str | os.PathLike[str] | Sequence[str | os.PathLike[str
     options : tables and fields of `Run`
     """
     files = [settings_layer(path) for path in listed(config)]
-    warn_of_mixed_sensors(files)
     settings: Run = checked(Run, [*files, Layer(plain_tables(options))])
     return settings
 

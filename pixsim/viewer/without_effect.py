@@ -667,7 +667,8 @@ def effect_notes(sensors: Mapping[str, Iterable[GivenSettings]]) -> list[Note]:
         names_of.setdefault(tuple(labels), []).append(name)
     notes = []
     for having, together in names_of.items():
-        note = Note("no_effect", names=", ".join(together), verb="changes" if len(together) == 1 else "change")
+        verb = "changes" if len(together) == 1 else "change"
+        note = Note("no_effect", words=f"{', '.join(together)} {verb} nothing here")
         notes.append(note if len(having) == len(sensors) else note.of(having))
     return notes
 

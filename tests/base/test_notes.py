@@ -121,11 +121,11 @@ def test_each_note_is_of_a_kind_and_has_the_values_of_its_template() -> None:
 
 
 def test_note_keeps_its_id_in_a_process_of_a_worker_and_under_a_name() -> None:
-    note = Note("sizes_left_out", case="4t-bsi", sizes="1, 2", reason="they have no photodiode.")
+    note = Note("left_out", words="4t-bsi: 1, 2 µm left out: they have no photodiode.")
     assert str(note) == "4t-bsi: 1, 2 µm left out: they have no photodiode"
     copy = pickle.loads(pickle.dumps(note))
     assert (copy, copy.id, copy.of(["a", "b"]).id) == (note, note.id, note.id)
-    assert copy.of(["a", "b"]).as_dict() == {"id": "sizes_left_out", "text": f"a, b: {note}"}
+    assert copy.of(["a", "b"]).as_dict() == {"id": "left_out", "text": f"a, b: {note}"}
 
 
 def test_note_is_printable() -> None:
@@ -135,8 +135,8 @@ def test_note_is_printable() -> None:
 @pytest.mark.parametrize(
     ("note", "quiet", "lines"),
     [
-        (Note("no_effect", names="a", verb="changes"), False, 1),
-        (Note("no_effect", names="a", verb="changes"), True, 0),
+        (Note("no_effect", words="a changes nothing here"), False, 1),
+        (Note("no_effect", words="a changes nothing here"), True, 0),
         (Note("reflectance", what="r", highest=1.2, place="b"), True, 1),
     ],
 )

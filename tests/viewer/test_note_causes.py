@@ -42,11 +42,11 @@ TABLE = [[400.0, 0.5], [650.0, 0.5]]
 ROWS: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
     ("unit_slip", {"pixel": {"prnu": 0.2}}, {"pixel": {"prnu": 0.002}}),
     ("other_camera", {"camera": Camera(die_mm=0.32, f_number=2.0)}, {"camera": CAMERA}),
-    ("white_estimated", {"display": {}}, {"display": WHITE}),
+    ("assumed", {"display": {}}, {"display": WHITE}),
     ("white_clipped", {"display": {"white_w_per_m2_sr": 1e-4}}, {"display": {"white_w_per_m2_sr": 200.0}}),
-    ("table_ends", {"pixel": {"quantum_efficiency": TABLE}}, {"pixel": {"quantum_efficiency": [*TABLE, [660.0, 0.0]]}}),
+    ("spectral_range", {"pixel": {"quantum_efficiency": TABLE}}, {"pixel": {"quantum_efficiency": [*TABLE, [660.0, 0.0]]}}),
     (
-        "flat_efficiency",
+        "spectral_range",
         {"pixel": {"quantum_efficiency": 0.5}, "light": {"high_nm": 1000.0}},
         {"pixel": {"quantum_efficiency": 0.5, "quantum_efficiency_nm": 525.0}, "light": {"high_nm": 1000.0}},
     ),
