@@ -12,7 +12,8 @@ from typing import Any
 def load_when_used(*names: str) -> None:
     """Put modules of NumPy in place that are loaded when one of their attributes is used, unless they are loaded already.
 
-    SciPy copies NumPy's whole namespace, which would load all of them.
+    SciPy copies NumPy's whole namespace, which would load all of them. Only for modules that no thread uses: before Python 3.12, a
+    second thread finds a module that is being loaded empty.
     """
     import numpy as np  # here: the help of a command needs none
 
@@ -47,13 +48,11 @@ def import_less() -> None:
     """Let SciPy import and do less, in the process of a command.
 
     It leaves the docstrings of its functions as they are, since nobody reads them: when it is imported it adds notes on other array
-    libraries to hundreds of them. Its functions are the same. Masked arrays, which Matplotlib needs, and polynomials are loaded
-    when they are used. Matplotlib obeys no file of settings.
+    libraries to hundreds of them. Its functions are the same. Matplotlib obeys no file of settings.
 
     SciPy's name that is replaced is private. Without that, `pixsim run csf --resolution 64 --display.dots 32 --pixel.pitch-um 42.4`
     takes 4 % more processor time with a filled cache (1.23 s against 1.27 s, medians of nine runs in turns).
     """
-    load_when_used("ma", "polynomial")
     ignore_matplotlibrc()
     with suppress(ImportError):  # SciPy's own name for it may change: then nothing is gained
         from scipy._lib import _docscrape
