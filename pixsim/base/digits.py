@@ -25,6 +25,25 @@ def rounded(value: float, digits: int = 2) -> str:
     return f"{float(f'{value:.{digits}g}'):.15g}"
 
 
+def estimate(value: float, digits: int = 3) -> str:
+    """Return an estimate whose error is not known, in significant digits, with zeros at the end.
+
+    >>> estimate(0.9), estimate(76.543), estimate(15234.0)
+    ('0.900', '76.5', '15200')
+    """
+    decimals = digits - 1 - _decade(value)
+    return f"{round(value, decimals):.{max(decimals, 0)}f}"
+
+
+def pixel_size(pitch_um: float) -> str:
+    """Return the side of a pixel, to two decimals at most.
+
+    >>> pixel_size(4.0), pixel_size(2.2), pixel_size(2.5612)
+    ('4 µm', '2.2 µm', '2.56 µm')
+    """
+    return f"{pitch_um:.2f}".rstrip("0").removesuffix(".") + " µm"
+
+
 def number(value: float | None, digits: int = 2, least: float = 0.0) -> str:
     """Return a value in significant digits; a dash where it is unknown or infinite, 0 where it is below `least`.
 

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pixsim.show.pictures import AxisLabels, Picture, PictureAxes, Window, delta_e_colours, display_codes
+from pixsim.base.arrays import Array
+from pixsim.base.digits import estimate, pixel_size
+from pixsim.show.pictures import AxisLabels, Picture, PictureAxes, Window, delta_e_colours, display_codes, reduced
 from pixsim.studies.merit import NO_BORDER, Border, csf_contrasts, csf_range_lp_per_mm, extent
 
 if TYPE_CHECKING:
@@ -51,13 +53,19 @@ def _even_ticks(first_mm: float, last_mm: float) -> tuple[tuple[float, str], ...
     return tuple((step * n, f"{step * n:.3g}") for n in steps)
 
 
+def whole_picture(light: Array, name: str) -> Picture:
+    """Return a whole picture for a page, of at most 1024 dots a side."""
+    return Picture(display_codes(reduced(light)), name)
+
+
 def crops(score: FrameScore, window: Window, name: str, end: float) -> tuple[Picture, ...]:
     """Return a detail of the ideal image, of the output and of its ΔE map (scale 0 to `end`), with its mean and largest ΔE."""
     inside = window.of(score.delta_e)
+    errors = f"mean here {estimate(inside.mean(), 2)}, largest {estimate(inside.max(), 2)}"
     return (
         Picture(display_codes(window.of(score.ideal)), "ideal image"),
-        Picture(display_codes(window.of(score.image)), f"{score.physics.pitch_um:.2f} µm", name),
-        Picture(delta_e_colours(inside, end), "ΔE map", f"mean here {inside.mean():.2f}, largest {inside.max():.1f}"),
+        Picture(display_codes(window.of(score.image)), pixel_size(score.physics.pitch_um), name),
+        Picture(delta_e_colours(inside, end), "ΔE map", errors),
     )
 
 

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict, replace
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from pixsim.base.arrays import Array
-from pixsim.base.digits import exposure_time, percent, rounded, span, with_error, within_error
-from pixsim.base.files import digest_of
-from pixsim.base.headline import NOT_CONVERGED
+from pixsim.base.digits import estimate, exposure_time, percent, pixel_size, rounded, span, with_error
 from pixsim.base.notes import Note, warn
 from pixsim.base.progress import Progress
 from pixsim.base.schema import result_data
@@ -24,8 +21,8 @@ from pixsim.optics.lens_defocus import depth_of_field_m, finite_or_none
 from pixsim.report.kept import digest_of_content
 from pixsim.report.neq import NEQ, neq_against_frequency
 from pixsim.report.noise_budget import NAME, budgets_section
-from pixsim.report.pictures import crops, picture_axes, size_words
-from pixsim.report.score import score_plate, shown_mean
+from pixsim.report.pictures import crops, picture_axes, size_words, whole_picture
+from pixsim.report.score import judged_by_delta_e, score_plate, shown_mean
 from pixsim.report.settings import UNSTATED, scene_rows, settings_blocks, settings_tables
 from pixsim.report.wording import (
     DELTA_E as DELTA_E_WORDS,
@@ -59,14 +56,11 @@ from pixsim.show.document import (
     Slider,
     Strong,
     Text,
-    has_room,
-    headline,
-    joined,
     pairs,
     plain_text,
 )
 from pixsim.show.pages import Plate, figure_files
-from pixsim.show.pictures import Picture, delta_e_png, display_codes, factor_for, light_png, reduced, scale, scale_end, worst_window
+from pixsim.show.pictures import delta_e_png, factor_for, light_png, scale, scale_end, worst_window
 from pixsim.show.presenter import PageOptions, Presenter
 from pixsim.show.render import PAGE
 from pixsim.studies.files import scene_table, settings_text
@@ -80,7 +74,6 @@ from pixsim.viewer.display import white_light
 from pixsim.viewer.metric_registry import metrics_named
 from pixsim.viewer.metrics import DELTA_E, Metric
 from pixsim.viewer.raw_metrics import DETECTABILITY, contrast_factor
-from pixsim.viewer.score import exceeded
 from pixsim.viewer.screen import LightLevel
 
 if TYPE_CHECKING:
@@ -115,9 +108,15 @@ MEANINGS = {
     "p99_delta_e": "99th percentile of ΔE over dots",
     "max_delta_e": "largest ΔE",
 }
-IDEALS = {
-    True: "in colour: compare with colour sensors only, since that of a monochrome sensor is grey",
-    False: "grey, as that of a monochrome sensor: the mean ΔE of both may be compared",
+COLOUR_MEANINGS = {
+    "layout": "channels of a frame: rows of the unit cell, or planes",
+    "white_spectrum": "light of white, for white balance, matrix and ideal image",
+    "white_e": "electrons of white",
+    "matrix_to_display": "matrix from balanced channels to the display's red, green and blue, by rows",
+    "noise_gains": "noise gains of the matrix in red, green, blue",
+    "sensitivity_metamerism_index": "sensitivity metamerism index under this lamp (100: no colour error)",
+    "patches_mean_delta_e": "mean ΔE of patches 1-18 of a ColorChecker behind the matrix, without noise",
+    "ideal_is_coloured": "ideal image in colour, as that of other colour sensors; else grey, as that of monochrome ones",
 }
 
 
@@ -129,26 +128,25 @@ def colour_rows(facts: Mapping[str, Any] | None, out_of_gamut: tuple[float, floa
     """
     if facts is None or out_of_gamut is None:
         return []
-    letters = list(facts["white_e"])
-    gains = ", ".join(f"{gain:.3g}" for gain in facts["noise_gains"])
+    shares = zip(("the ideal image", "the sensor's picture"), out_of_gamut, strict=True)
     return [
-        ("channels of a frame: rows of the unit cell, or planes", facts["layout"]),
-        ("light of white, for white balance, matrix and ideal image", facts["white_spectrum"]),
-        (f"electrons of white in {', '.join(letters)}", ", ".join(rounded(value, 4) for value in facts["white_e"].values())),
-        (f"matrix from balanced {', '.join(letters)} to the display's light, row of red", _row(facts, 0)),
-        ("the same, row of green", _row(facts, 1)),
-        ("the same, row of blue", _row(facts, 2)),
-        ("noise gains of the matrix in red, green, blue", gains),
-        ("sensitivity metamerism index under this lamp (100: no colour error)", f"{facts['sensitivity_metamerism_index']:.4g}"),
-        ("mean ΔE of patches 1-18 of a ColorChecker behind the matrix, without noise", f"{facts['patches_mean_delta_e']:.3g}"),
-        ("ideal image", IDEALS[facts["ideal_is_coloured"]]),
-        ("dots outside the display's gamut: ideal image", percent(out_of_gamut[0], 2)),
-        ("dots outside the display's gamut: the sensor's picture", percent(out_of_gamut[1], 2)),
+        *((meaning, _words(facts[name])) for name, meaning in COLOUR_MEANINGS.items()),
+        *((f"dots outside the display's gamut: {picture}", percent(share, 2)) for picture, share in shares),
     ]
 
 
-def _row(facts: Mapping[str, Any], number: int) -> str:
-    return ", ".join(f"{value:.4g}" for value in facts["matrix_to_display"][number])
+def _words(value: Any) -> str:
+    """Return a number, a truth, a text, or several of them, as text."""
+    match value:
+        case bool():
+            return "yes" if value else "no"
+        case float():
+            return rounded(value, 4)
+        case list():
+            return ("; " if isinstance(value[0], list) else ", ").join(map(_words, value))
+        case dict():
+            return ", ".join(f"{name} {_words(inner)}" for name, inner in value.items())
+    return str(value)
 
 
 COLOUR = (
@@ -194,22 +192,20 @@ def run_document(result: RunResult, warned: Collection[str] = ()) -> Document:
 
     warned : notes that a reader of the terminal has seen
     """
-    header, pitch_um = result.irradiance.header, result.score.physics.pitch_um
+    header, judged = result.irradiance.header, judged_by_delta_e(result.settings)
     scene = Path(str(header.get("scene", header.get("source", "a picture of another program")))).stem
-    content = data(result)
     answer = run_answer(result)
-    stated = {*unsure_words(result), *warned} if judged_by_delta_e(result) else {*warned}
-    lead = (*facts(result), *(note for note in notes(result) if note not in stated))
+    lead = (*facts(result), *(note for note in notes(result) if note not in {*answer.below, *warned}))
     numbers = pairs("statistics", {name: result.statistics[0][name] for name in shown_statistics(result)})
     return Document(
         command="run",
         kind="picture of one sensor",
-        title=f"{scene} with {pitch_um:g} µm pixels",
-        data=content,
+        title=f"{scene} with {result.score.physics.pitch_um:g} µm pixels",
+        data=data(result),
         cell=(answer, Plot(lambda: score_plate(result.score)), numbers, *lead),
         answers=(answer,),
         lead=lead,
-        about=(DELTA_E_WORDS,) if judged_by_delta_e(result) else (),
+        about=(DELTA_E_WORDS,) if judged else (),
         sections=(budgets_section(budgets_of(result)),),
         data_file="score.json",
         sources=[Path(result.prepared.file)],
@@ -221,33 +217,41 @@ def run_page(result: RunResult, files: RunFiles = USUAL, progress: Progress | No
 
     progress : of the frames
     """
-    score, irradiance, frames = result.score, result.irradiance, result.prepared.frames
+    score, irradiance = result.score, result.irradiance
     if files.irradiance == "factors" and not irradiance.factors:
         words = "the light has no factors (spectrum × picture): irradiance.exr holds its bands in full"
         warn(Note("file_as_read", words=words))
 
     def write_light(folder: Path) -> None:
         if files.irradiance != "none":
-            write_irradiance(folder / "irradiance.exr", irradiance, files.irradiance)
-            digest_of(folder / "irradiance.exr", alone=True)  # which the provenance asks for
+            light = reduced_to_fit(irradiance) if files.irradiance == "reduced" else irradiance
+            write_exr(folder / "irradiance.exr", light, factors_only=files.irradiance == "factors")
 
-    def write_frames(folder: Path) -> None:
-        write_numbers(result, folder, raw_stem, files.formats, lambda number: progress and progress(number / frames))
-
-    def finish() -> Document:
-        end = scale_end(result.statistics[0]["p99_delta_e"])
-        pictures = {"ideal.png": light_png(score.ideal), "image.png": light_png(score.image)}
-        pictures["delta_e.png"] = delta_e_png(score.delta_e, picture_axes(irradiance, score.border_um), end)
-        settings = {SETTINGS_FILE: run_settings_text(result.prepared, irradiance)}
-        return replace(
-            document,
-            lead=(_slider(result, pictures), *document.lead),
-            sections=(*_sections(result, pictures, files), *document.sections),
-            files={**pictures, **settings, ROWS_FILE: run_csv(result)},
-        )
+    def write_arrays(folder: Path) -> None:
+        write_channels(folder / "delta_e.exr", {"delta_e": score.delta_e}, {})
+        for number, frame in enumerate(chain([score.frame], result.further_frames()), 1):
+            for suffix in files.formats:
+                write_frame(folder / f"{raw_stem(number)}{suffix}", frame)
+            if progress is not None:
+                progress(number / result.prepared.frames)
 
     document = run_document(result)
-    return replace(document, writers=(write_light, write_frames), finish=finish)  # the largest file by far first
+    end = scale_end(result.statistics[0]["p99_delta_e"])
+    delta_e = delta_e_png(score.delta_e, picture_axes(irradiance, score.border_um), end)
+    sensor = whole_picture(score.image, f"{pixel_size(score.physics.pitch_um)} pixels")
+    return replace(
+        document,
+        lead=(Slider("slider", "", whole_picture(score.ideal, "ideal image"), (sensor,)), *document.lead),
+        sections=(*_sections(result, delta_e, files), *document.sections),
+        writers=(write_light, write_arrays),  # the largest file by far first
+        files={
+            "ideal.png": light_png(score.ideal),
+            "image.png": light_png(score.image),
+            "delta_e.png": delta_e,
+            SETTINGS_FILE: run_settings_text(result.prepared, irradiance),
+            ROWS_FILE: run_csv(result),
+        },
+    )
 
 
 def run_plate(result: RunResult) -> Plate:
@@ -272,25 +276,30 @@ def data(result: RunResult) -> dict[str, Any]:
     `in_focus_m` are the nearest and the farthest depth with a blur disc of a pixel at most, the farthest null if infinite.
     """
     prepared, settings, score = result.prepared, result.settings, result.score
-    more: dict[str, Any] = {"chosen": {**prepared.view}}
+    more: dict[str, Any] = {}
     if result.rendered and result.rendered.noise and result.plan:
         more |= {"render_noise": asdict(result.rendered.noise), "plan": result.plan.as_dict(), "film": result.film}
         more |= {"window_mm": settings.window_mm} if settings.window_mm else {}
-    if prepared.repeats > 1 and result.interval_delta_e is not None:
+    if result.interval_delta_e is not None:
         more |= {"repeats": result.delta_e.size, "delta_e": result.delta_e.tolist(), "sensors_mean_delta_e": result.mean_delta_e}
         more |= {"interval_delta_e": list(result.interval_delta_e)}
     if result.judged:
         more["metrics"] = plain({name: float(values.mean()) for name, values in result.judged.items()})
-    if result.threshold is not None:
-        more["at_threshold"] = threshold_data(result.threshold)
-    if (colour := result.colour) is not None:
-        more |= {"develop": settings.develop.model_dump(), "colour": colour}
-    elif settings.develop.words:
-        more |= {"develop": settings.develop.model_dump()}
+    if (threshold := result.threshold) is not None:
+        found = {"value": threshold.value, "upper_value": threshold.upper_value, "why_not": threshold.reason}
+        more["at_threshold"] = {"parameter": threshold.parameter, "detectability": threshold.threshold, **found}
+    if result.colour is not None or settings.develop.words:
+        more["develop"] = settings.develop.model_dump()
+    if result.colour is not None:
+        more["colour"] = result.colour
     if settings.develop.sharpens:
         more["sharpening_noise_gain"] = result.chain.development.sharpening_noise_gain
-    more |= {"frames": prepared.frames} if prepared.frames > 1 else {}
-    more |= {"noise_budget": result.noise_budget.as_dict()} if result.noise_budget else {}
+    if settings.motion.is_on:
+        more["motion"] = settings.motion.model_dump()
+    if prepared.frames > 1:
+        more["frames"] = prepared.frames
+    if result.noise_budget:
+        more["noise_budget"] = result.noise_budget.as_dict()
     values = {metric.name: float(result.table.columns[metric.columns[0]].mean()) for metric in metrics_named(settings.metrics)}
     content = {
         **plain(result.statistics[0]),
@@ -307,9 +316,9 @@ def data(result: RunResult) -> dict[str, Any]:
         "in_focus_m": finite_or_none(depth_of_field_m(result.camera, score.physics.read_pitch_um)),
         "exposure": settings.exposure.model_dump(),
         "correction": settings.correction.model_dump(),
-        **({"motion": settings.motion.model_dump()} if settings.motion.is_on else {}),
         "display": settings.display.model_dump(),
         "seed": settings.seed,
+        "chosen": {**prepared.view},
         **more,
     }
     return result_data(
@@ -321,26 +330,12 @@ def data(result: RunResult) -> dict[str, Any]:
     )
 
 
-def threshold_data(threshold: Threshold) -> dict[str, Any]:
-    """Return where a target is just seen, as in score.json."""
-    return {
-        "parameter": threshold.parameter,
-        "detectability": threshold.threshold,
-        "value": threshold.value,
-        "upper_value": threshold.upper_value,
-        "why_not": threshold.reason,
-    }
-
-
 # --- notes ------------------------------------------------------------------------------------------------------------------------
 
 
 def notes(result: RunResult) -> list[Note]:
     """Return what a reader should know besides the score: its causes, warnings, a black level that clips dark noise."""
-    sized = [(cause.delta_e, cause.note) for cause in result.causes]
-    sized += [(result.dark["lightness"], note) for note in dark_notes(result)]
-    of_score = [note for _, note in sorted(sized, key=lambda pair: -pair[0])]
-    return list(dict.fromkeys([*(cause.note for cause in result.causes), *result.warned, *of_score]))
+    return list(dict.fromkeys([*(cause.note for cause in result.causes), *result.warned, *dark_notes(result)]))
 
 
 def dark_notes(result: RunResult) -> list[Note]:
@@ -359,82 +354,62 @@ def assumption(result: RunResult) -> str:
 # --- words ------------------------------------------------------------------------------------------------------------------------
 
 
-def judged_by_delta_e(result: RunResult) -> bool:
-    """Return whether ΔE was asked for."""
-    return DELTA_E.name in result.settings.metrics
-
-
 def run_answer(result: RunResult) -> Answer:
-    """Return the answer of a run: the number of its first metric, and below it what makes it unsure and what it is of."""
-    first = metrics_named(result.settings.metrics)[0]
-    setup = setup_parts(result)
-    if first is DELTA_E:
-        answer = headline(score_parts(result))
-        return Answer(answer.head, (*unsure_words(result), *answer.below))
-    return Answer(metric_text(result, first), tuple(setup))
+    """Return the answer of a run: the number of its first metric; below it what makes ΔE unsure, and what was run."""
+    first, *_ = metrics_named(result.settings.metrics)
+    unsure = unsure_words(result) if judged_by_delta_e(result.settings) else []
+    return Answer(metric_text(result, first), (*unsure, *setup_words(result)))
 
 
 def facts(result: RunResult) -> Iterator[Block]:
-    """Yield what the other metrics say, with what makes mean ΔE unsure, and what is known of several sensors and frames."""
+    """Yield what the other metrics say, and what there is of several sensors and frames."""
     for metric in metrics_named(result.settings.metrics)[1:]:
-        if metric is DELTA_E:
-            yield Fact(joined([("mean ΔE ", shown_mean_of(result)), *unsure_words(result)]))
-        else:
-            yield Fact(plain_text(metric_text(result, metric)))
-    frames, repeats = result.prepared.frames, result.prepared.repeats
-    if repeats > 1 and result.interval_delta_e is not None:
-        words = f"{repeats} sensors"
-        if judged_by_delta_e(result):
-            sensors_delta_e = span(result.delta_e.min(), result.delta_e.max(), ".3f")
-            where = "" if result.is_spread else " of this registration"
-            low, high = result.interval_delta_e
-            ends = span(*(within_error(end, (high - low) / 2) for end in (low, high)))
-            words += f": ΔE of {sensors_delta_e}, 95 % interval of their mean{where} {ends}"
+        yield Fact(plain_text(metric_text(result, metric)))
+    if result.interval_delta_e is not None:
+        words = f"{result.delta_e.size} sensors"
+        if judged_by_delta_e(result.settings):
+            words += f", with a mean ΔE of {span(estimate(result.delta_e.min()), estimate(result.delta_e.max()))}"
         yield Fact(f"{words}; pictures and frames are of the first")
-    if frames > 1:
-        between = {2: "", 3: f", {raw_stem(2)}.exr"}.get(frames, f", {raw_stem(2)}.exr, …")
-        yield Fact(f"{frames} frames of this sensor: raw.exr{between} and {raw_stem(frames)}.exr; the first is scored")
+    if (frames := result.prepared.frames) > 1:
+        yield Fact(f"{frames} frames of this sensor: raw.exr to {raw_stem(frames)}.exr; the first is scored")
 
 
 def metric_text(result: RunResult, metric: Metric) -> Text:
-    """Return what a metric beside ΔE says of a run, with half of the 95 % interval of several sensors; else that it is of one."""
+    """Return what a metric says of a run, with half of the 95 % interval of several sensors; beside ΔE, of what it is."""
+    if metric is DELTA_E:
+        return "mean ΔE ", Strong(shown_mean_of(result))
     values = result.judged[metric.name]
     mean = float(values.mean())
     if math.isnan(mean):  # a note says why
         return f"{metric.words} is not given"
     low, high = result.interval(values, metric.columns[0]) or (mean, mean)
-    value = with_error(mean, (high - low) / 2) if high > low else rounded(mean, 3)
+    value = with_error(mean, (high - low) / 2) if high > low else estimate(mean)
     judged = f"one {metric.judges}" if values.size == 1 else f"the {metric.judges}"
-    seen = threshold_words(result, mean) if metric is DETECTABILITY else ""
+    seen = f"; {threshold_words(result, mean)}" if metric is DETECTABILITY else ""
     return f"{metric.words} ", Strong(f"{value} {metric.unit}".rstrip()), f", of {judged}{seen}"
 
 
 def threshold_words(result: RunResult, d_prime: float) -> str:
     """Return where a target is seen as well as the threshold asks: at a value of the scene, or at a part of its contrast."""
     if result.threshold is not None:
-        return f"; {found_threshold_words(result.threshold)}"
-    options = result.settings.metric.detectability
-    threshold = options.threshold
+        return found_threshold_words(result.threshold)
+    threshold = result.settings.metric.detectability.threshold
     factor, reason = contrast_factor(result.chain.expected(result.score.frame.integration_s), d_prime)
     if not reason:
-        return f"; {threshold:g} is reached at {factor:.3g} times this contrast, where contrasts are small"
-    is_seen = d_prime >= threshold
-    return f"; no factor of its contrast leads to {threshold:g}: {reason}" if is_seen else f"; not seen: {reason}"
+        return f"{threshold:g} is reached at {factor:.3g} times this contrast, where contrasts are small"
+    return f"no factor of its contrast leads to {threshold:g}: {reason}" if d_prime >= threshold else f"not seen: {reason}"
 
 
 def found_threshold_words(threshold: Threshold) -> str:
     """Return at which values of the scene's parameter a target is seen."""
-    reached = f"{threshold.threshold:g} is reached at {threshold.parameter}"
-    match threshold.value, threshold.upper_value:
-        case float(low), float(high):
-            return f"{reached} of {low:.4g} to {high:.4g}"
-        case float(low), None:
-            return f"{reached} = {low:.4g}"
-        case None, float(high):
-            return f"{reached} up to {high:.4g}"
-    tried = span(min(threshold.tried), max(threshold.tried), ".4g")
-    reason = f": {threshold.reason}" if threshold.reason else ""
-    return f"{threshold.threshold:g} is not reached at {threshold.parameter} of {tried}{reason}"
+    first, last = threshold.value, threshold.upper_value
+    if first is None and last is None:
+        tried = span(min(threshold.tried), max(threshold.tried), ".4g")
+        reason = f": {threshold.reason}" if threshold.reason else ""
+        return f"{threshold.threshold:g} is not reached at {threshold.parameter} of {tried}{reason}"
+    low = "" if first is None else f" from {rounded(first, 3)} on"
+    high = "" if last is None else f" up to {rounded(last, 3)}"
+    return f"{threshold.threshold:g} is reached at {threshold.parameter}{low}{high}"
 
 
 def shown_mean_of(result: RunResult) -> str:
@@ -445,92 +420,52 @@ def shown_mean_of(result: RunResult) -> str:
 
 
 def unsure_words(result: RunResult) -> list[str]:
-    """Return the lines that follow a run's mean ΔE: its causes and the errors of its light, the largest first.
-
-    A black level that clips dark noise is among them where it makes more than another one.
-    """
-    lines = unconverged(result.irradiance.header, result.rendered.film if result.rendered else None)
-    sized = list(zip(exceeded(result.light, result.light_limit).values(), lines, strict=False))
-    sized += [(cause.delta_e, str(cause)) for cause in result.causes]
-    least = min((size for size, _ in sized), default=math.inf)
-    sized += [(size, note) for note in dark_notes(result) if (size := result.dark["lightness"]) > least]
-    return [line for _, line in sorted(sized, key=lambda pair: -pair[0])]
+    """Return the lines that follow a run's mean ΔE: its causes, and the errors of its light."""
+    film = result.rendered.film if result.rendered else None
+    return [*map(str, result.causes), *unconverged(result.irradiance.header, film)]
 
 
-def score_parts(result: RunResult) -> list[Text]:
-    """Return the mean ΔE of a run, its pixels and its exposure, and how it is shown and rendered, as parts of a `headline`."""
-    mean = shown_mean_of(result)
-    delta_e = ("mean ΔE ", Strong(mean))
-    pixels, exposed, *others = setup_parts(result)
-    first = (*delta_e, f"{',' * (NOT_CONVERGED in mean)} with {pixels}")
-    whole = (*first, f", {exposed}")
-    if has_room([whole]):
-        return [whole, *others]
-    return [first, exposed, *others] if has_room([first]) else [delta_e, pixels, exposed, *others]
-
-
-def setup_parts(result: RunResult) -> list[str]:
-    """Return the pixels of a run, its exposure, its development where there is one, and how it is shown and rendered."""
+def setup_words(result: RunResult) -> list[str]:
+    """Return what was run: pixels and exposure, development where there is one, and how it is shown and rendered."""
     frame, settings = result.score.frame, result.settings
     rows, columns = frame.pixels
-    border_um = result.score.border_um[1] if settings.display.raster == "fixed_size" else 0.0
-    border = f"{border_um:.3g} µm on each side not scored" if border_um else ""
-
     exposure, time_s, saturated = settings.exposure, frame.integration_s, frame.saturated_fraction
     is_longest = exposure.integration_s is None and time_s >= exposure.times * exposure.max_integration_s
     longest = " (the maximum)" if is_longest else ""
     full = f", {percent(saturated)} of them saturated" if saturated > SATURATED_SHOWN else ""
-    exposed = ", ".join([f"exposed for {exposure_time(time_s)}{longest}{full}", *stage_words(settings)])
+    pixels = f"{columns} × {rows} pixels of {result.score.physics.pitch_um:g} µm"
+    exposed = [f"{pixels}, exposed for {exposure_time(time_s)}{longest}{full}", *stage_words(settings)]
 
     view = view_words(settings.display, result.irradiance.header, result.prepared.view, settings.window_mm, columns)
-    shown = ", ".join(filter(None, (border, *view)))
-    film = film_words(result.film) if result.film else unmeasured_words(result)
-    noise = noise_words(result.rendered.noise.fraction) if result.rendered and result.rendered.noise else ""
-    light = film, noise
-    if not judged_by_delta_e(result):  # errors of the light are in ΔE
-        light = "", ""
-    developed = developed_words(settings.develop, [settings.pixel])
-    rest = "; ".join(filter(None, (shown, light[0], lens_words(result.camera), assumption(result), light[1])))
-    pixels = f"{columns} × {rows} pixels of {result.score.physics.pitch_um:g} µm"
-    return [pixels, exposed, *filter(None, (developed, rest))]
+    light = light_words(result) if judged_by_delta_e(settings) else []
+    shown = "; ".join(filter(None, (*view, lens_words(result.camera), assumption(result), *light)))
+    return [*filter(None, (", ".join(exposed), developed_words(settings.develop, [settings.pixel]), shown))]
 
 
-def noise_words(fraction: float) -> str:
-    """Return the noise of a render as a fraction of the sensor's noise, in words."""
-    return f"render noise {fraction:.2g} of the sensor's noise" if fraction else "no render noise"
-
-
-def unmeasured_words(result: RunResult) -> str:
-    """Return what was not measured of light that pixsim rendered; empty for nothing, and for light of another program."""
-    light = result.light
-    parts = ["the film's error"] * (light.film_delta_e is None) + ["render noise"] * (light.noise_delta_e is None)
-    return f"{' and '.join(parts)} not measured" if "scene_hash" in result.irradiance.header and parts else ""
+def light_words(result: RunResult) -> list[str]:
+    """Return the film and the render noise of a run; what was not measured of light that pixsim rendered."""
+    noise = result.rendered.noise if result.rendered else None
+    words = []
+    if result.film:
+        words.append(film_words(result.film))
+    if noise:
+        words.append(f"render noise {noise.fraction:.2g} of the sensor's noise" if noise.fraction else "no render noise")
+    if "scene_hash" in result.irradiance.header:
+        unmeasured = {"the film's error": result.light.film_delta_e, "render noise": result.light.noise_delta_e}
+        words += [f"{name} not measured" for name, delta_e in unmeasured.items() if delta_e is None]
+    return words
 
 
 # --- the page ---------------------------------------------------------------------------------------------------------------------
 
 
-def _slider(result: RunResult, pictures: Mapping[str, bytes]) -> Slider:
-    """Return the sensor's picture beside the ideal image.
-
-    pictures : name -> PNG
-    """
-    score = result.score
-    return Slider(
-        id="slider",
-        heading="",
-        left=shown_picture(pictures["ideal.png"], score.ideal, "ideal image"),
-        others=(shown_picture(pictures["image.png"], score.image, f"{score.physics.pitch_um:g} µm pixels"),),
-    )
-
-
-def _sections(result: RunResult, pictures: Mapping[str, bytes], files: RunFiles) -> Iterator[Section]:
+def _sections(result: RunResult, delta_e: bytes, files: RunFiles) -> Iterator[Section]:
     """Yield the sections of the page.
 
-    pictures : name -> PNG
+    delta_e : the map of the errors, as PNG
     """
-    if judged_by_delta_e(result):
-        yield Section("errors", "Where the errors are", _errors(result, pictures), together=True)
+    if judged_by_delta_e(result.settings):
+        yield Section("errors", "Where the errors are", _errors(result, delta_e), together=True)
     quanta = quanta_of_run(result)
     yield Section("numbers", "Numbers", (DocumentTable("numbers of this picture", (), _numbers(result), words=None),))
     yield Section("neq", "Noise-equivalent quanta", (Plot(lambda: neq_against_frequency(quanta)),) if quanta else ())
@@ -541,15 +476,11 @@ def _sections(result: RunResult, pictures: Mapping[str, bytes], files: RunFiles)
     yield Section("files", "Files in this folder", (Listed(_files(files, result.prepared.frames)),), folded=True)
 
 
-def _errors(result: RunResult, pictures: Mapping[str, bytes]) -> Iterator[Block]:
-    """Yield the map of the errors, and the detail with the largest ones.
-
-    pictures : name -> PNG
-    """
-    score = result.score
-    p99 = result.statistics[0]["p99_delta_e"]
+def _errors(result: RunResult, delta_e: bytes) -> Iterator[Block]:
+    """Yield the map of the errors, as PNG, and the detail with the largest ones."""
+    score, p99 = result.score, result.statistics[0]["p99_delta_e"]
     end = scale_end(p99)
-    yield Map(pictures["delta_e.png"], f"S-CIELAB ΔE. One dot in a hundred has more than {p99:.3g}.")
+    yield Map(delta_e, f"S-CIELAB ΔE. One dot in a hundred has more than {p99:.3g}.")
     left_mm, right_mm, bottom_mm, top_mm = extent(result.irradiance, score.border_um)
     window = worst_window([score.delta_e])
     x_mm = left_mm + window.centre[0] * (right_mm - left_mm)
@@ -562,31 +493,23 @@ def _errors(result: RunResult, pictures: Mapping[str, bytes]) -> Iterator[Block]
 
 def shown_statistics(result: RunResult) -> list[str]:
     """Return the names of the statistics that are printed; those of ΔE where it was asked for."""
-    judged = judged_by_delta_e(result)
+    judged = judged_by_delta_e(result.settings)
     return [name for name in result.statistics[0] if judged or not name.endswith("_delta_e")]
 
 
 def _numbers(result: RunResult) -> Iterator[tuple[str, str]]:
     """Yield the meaning and the value of each number of the page: of the pixels, the light, the picture and its blur."""
-    score, physics, readout = result.score, result.score.physics, result.score.readout
-    rows, columns = score.frame.pixels
+    physics = result.score.physics
     width_mm, height_mm = extent(result.irradiance)[1:3]
-    filters = f", filters {result.colour['layout']}" if result.colour is not None else ""
-    of_technology = f"{label_of(physics.technology.name)}{filters}"
-    yield "pixels", f"{columns} × {rows} of {physics.pitch_um:g} µm ({of_technology}) on {width_mm:.4g} × {height_mm:.4g} mm"
-    yield "lens", "; ".join(filter(None, (lens_words(result.camera) or thin_lens_words(result.camera), assumption(result))))
-    yield "light", str(LightLevel.of(result.irradiance, result.settings.display, [score.frame.integration_s]))
+    yield "die", f"{width_mm:.4g} × {height_mm:.4g} mm, {label_of(physics.technology.name)}"
+    yield "lens", lens_words(result.camera) or thin_lens_words(result.camera)
     yield "irradiance", rendered_words(result.irradiance.header)
-    limit = "the full well" if readout.full_well_e <= readout.adc_range_e else "the range of the ADC"
-    yield "brightest pixel", f"its mean is {rounded(100 * float(score.frame.mean_e.max()) / readout.saturation_e)} % of {limit}"
 
     statistics = result.statistics[0]
     for name in shown_statistics(result):
         is_filled = name == "fill_factor" and physics.technology.name == NO_TECHNOLOGY and statistics[name] > FILLED
         if name in MEANINGS and not is_filled:  # of a data sheet, which states none
             yield MEANINGS[name], rounded(statistics[name], 4)
-    if result.rendered and result.rendered.noise:
-        yield "noise of the render relative to the sensor's noise", f"{result.rendered.noise.fraction:.2g}"
 
     imaging, path_um = result.chain.imaging, result.chain.moving.longest_um
     frequency_lp_per_mm, name, sensor_terms, display_terms = detail_terms(imaging, result.irradiance, path_um)
@@ -614,27 +537,16 @@ def _files(files: RunFiles, frames: int) -> tuple[Text, ...]:
     """Return the other files of a run of so many frames with their descriptions."""
     names = files.names(frames)
     listed = {name: words for name, words in FILES.items() if name in names}
-    listed |= {f"raw{suffix}": "the frame of raw.exr, for other programs" for suffix in sorted(files.formats) if suffix != ".exr"}
-    listed |= {f"{raw_stem(2)}{suffix}": further_words(suffix, frames) for suffix in sorted(files.formats) if frames > 1}
+    listed |= {f"raw{suffix}": FILES["raw.exr"] for suffix in files.raw_suffixes}
+    if frames > 1:
+        last = f"{raw_stem(frames)}.exr"
+        listed[last] = f"the last of the frames of this sensor from {raw_stem(2)}.exr on, each with temporal noise of its own"
     return tuple((Link(name, name), f": {words}") for name, words in listed.items())
 
 
 def raw_stem(number: int) -> str:
     """Return the name, without its suffix, of the file of a frame: raw, raw_002, raw_003, …; sorted names keep their order."""
     return "raw" if number == 1 else f"raw_{number:03d}"
-
-
-def further_words(suffix: str, frames: int) -> str:
-    """Return what the page says of the files of further frames beside that of the second one, of one format."""
-    last = "" if frames == 2 else f", and so on to {raw_stem(frames)}{suffix}"
-    return f"frame 2 of the same sensor{last}: the same fixed pattern, temporal noise of its own"
-
-
-def shown_picture(png: bytes, luminance: Array, name: str) -> Picture:
-    """Return a whole picture with its PNG, or the `reduced` one if it is large."""
-    if factor_for(luminance) == 1:
-        return Picture(display_codes(luminance), name, png=png)
-    return Picture(display_codes(reduced(luminance)), name)
 
 
 def run_settings_text(prepared: Job[Run], irradiance: SpectralImage) -> str:
@@ -676,27 +588,6 @@ def whole_source(job: Job[Run]) -> str:
     if job.cases[0].picture:
         return str(Path(job.file).resolve())
     return job.file if job.file in packaged_scenes() else str(job.cases[0].scene.path)
-
-
-def write_irradiance(path: Path, image: SpectralImage, irradiance: Irradiance) -> None:
-    """Write the light of a run as EXR: whole, its factors only, or bands of at most 1024 samples across and 60 MB."""
-    write_exr(path, reduced_to_fit(image) if irradiance == "reduced" else image, factors_only=irradiance == "factors")
-
-
-def write_numbers(
-    result: RunResult, folder: Path, name_of: Callable[[int], str], suffixes: Sequence[str], frame_done: Callable[[int], object]
-) -> None:
-    """Write delta_e.exr and the raw frames of a run.
-
-    name_of : returns the name of a frame's file, without its suffix
-    suffixes : of the formats
-    frame_done : called with the number of frames written so far
-    """
-    write_channels(folder / "delta_e.exr", {"delta_e": result.score.delta_e}, {})
-    for number, frame in enumerate(chain([result.score.frame], result.further_frames()), 1):
-        for suffix in suffixes:
-            write_frame(folder / f"{name_of(number)}{suffix}", frame)
-        frame_done(number)
 
 
 def _page(result: RunResult, options: PageOptions) -> Document:

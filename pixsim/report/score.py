@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from pixsim.base.digits import told_apart, with_error, within_error
+from pixsim.base.digits import estimate, pixel_size, told_apart, with_error, within_error
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.schema import result_data
 from pixsim.base.tables import rows_csv
@@ -19,7 +18,9 @@ from pixsim.show.pictures import VIEWING_GAMMA, light_png, scale_end
 from pixsim.show.presenter import Presenter
 from pixsim.show.sentences import sentence, settings_line
 from pixsim.viewer.delta_e_statistics import percentiles
-from pixsim.viewer.score import Cause, FrameScore, LightError, Score, converged, exceeded
+from pixsim.viewer.metrics import DELTA_E
+from pixsim.viewer.score import Cause, FrameScore, LightError, Score, exceeded
+from pixsim.viewer.setting import Setting
 
 ERROR_WORDS = {"film_delta_e": "the film's error", "noise_delta_e": "the error by render noise"}
 PANEL_IN = 3.1  # width of each picture of the figure
@@ -36,7 +37,7 @@ def score_plate(score: Score) -> Drawing:
 
     end = scale_end(*percentiles(score.delta_e, (99,)))
     delta_e_map = axes[2].imshow(score.delta_e, cmap="viridis", vmin=0, vmax=end, interpolation="nearest")
-    axes[2].set_title(f"S-CIELAB ΔE, mean {score.mean_delta_e:.3f}")
+    axes[2].set_title(f"S-CIELAB ΔE, mean {estimate(score.mean_delta_e)}")
     figure.colorbar(delta_e_map, ax=axes[2], label="ΔE", extend="max", shrink=0.85)
     for panel in axes:
         panel.set_xlabel("display dots")
@@ -68,9 +69,9 @@ def score_document(score: Score) -> Document:
 
 def _headline(score: Score) -> str:
     if not isinstance(score, FrameScore):
-        return f"mean ΔE {score.mean_delta_e:.3f}"
+        return f"mean ΔE {estimate(score.mean_delta_e)}"
     mean = shown_mean(score.mean_delta_e, score.light, score.light_limit, score.causes)
-    return f"{score.physics.pitch_um:g} µm pixels, mean ΔE {mean}"
+    return f"{pixel_size(score.physics.pitch_um)} pixels, mean ΔE {mean}"
 
 
 def _sentences(score: Score) -> list[str]:
@@ -86,6 +87,11 @@ def _sentences(score: Score) -> list[str]:
         *(f"{NOT_CONVERGED}: {words}" for words in unmet(score.light, score.light_limit)),
     ]
     return [sentence(text) for text in texts]
+
+
+def judged_by_delta_e(settings: Setting) -> bool:
+    """Return whether ΔE was asked for."""
+    return DELTA_E.name in settings.metrics
 
 
 def unmet(error: LightError, limit: LightError) -> list[str]:
@@ -122,18 +128,18 @@ def shown_mean(
     >>> shown_mean(76.54, LightError(3.6), LightError(0.02), few_codes)
     '76.5 (all codes are equal) ± 3.6 (film)'
     """
-    is_film_met = converged(replace(error, noise_delta_e=None), limit)
-    film_delta_e = 0.0 if is_film_met or error.film_delta_e is None else error.film_delta_e
+    above = exceeded(error, limit)
+    film_delta_e = above.get("film_delta_e", 0.0)
 
-    value, uncertainty = within_error(mean_delta_e, scatter_delta_e) if scatter_delta_e else f"{mean_delta_e:.3f}", ""
-    if math.isnan(film_delta_e):
+    uncertainty = ""
+    value = within_error(mean_delta_e, scatter_delta_e) if scatter_delta_e else estimate(mean_delta_e)
+    if math.isinf(film_delta_e):
         uncertainty = " ± an unknown error (film)"
     elif film_delta_e or half_delta_e:
         value, _, uncertainty = with_error(mean_delta_e, half_delta_e + film_delta_e).partition(" ")
         parts = ["95 %"] * (half_delta_e > 0) + ["film"] * (film_delta_e > 0)
         uncertainty = f" {uncertainty} ({' and '.join(parts)})"
 
-    above = exceeded(error, limit)
     largest_known_delta_e = max(filter(math.isfinite, above.values()), default=0.0)
     if causes and causes[0].delta_e >= largest_known_delta_e:
         return f"{value} ({causes[0].words}){uncertainty}"

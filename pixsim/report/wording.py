@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pixsim.base.caller import setting
-from pixsim.base.digits import f_stop, interval, told_apart
+from pixsim.base.digits import estimate, f_stop, interval, pixel_size
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.optics.camera import Camera
 from pixsim.report.score import unmet
-from pixsim.scene.convergence import RENDER_NOISE, what_reaches
-from pixsim.show.document import Answer, Strong, joined
+from pixsim.scene.convergence import what_reaches
+from pixsim.show.document import Answer, Strong
 from pixsim.studies.film_error import FilmError, light_error_and_limit
 from pixsim.studies.merit import stated_end_lp_per_mm
 from pixsim.studies.regret import Regrets, weighted_criterion
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.score import converged
+from pixsim.viewer.score import exceeded
 
 if TYPE_CHECKING:
     from pixsim.studies.curve import Curve
@@ -44,10 +43,10 @@ def weighted_answer(regrets: Regrets) -> Answer:
     if weighted is None:
         return Answer(f"{regrets.label}: the conditions share too few pixel sizes for one that suits all")
     best, metric = weighted.optimum, weighted.metric
-    value = f"{best.value:.3f}" if metric.is_delta_e else metric.shown(best.value)
     first, _, words = metric.best.partition(" ")
+    value = estimate(best.value) if metric.is_delta_e else metric.shown(best.value)
     label = f"{regrets.label}: {first} weighted {words} {value} at "
-    return Answer(joined([label, (Strong(f"{best.pitch_um:.2f} µm"), f" (95 %: {interval(best.interval_um)})")], ""))
+    return Answer((label, Strong(pixel_size(best.pitch_um)), f" (95 %: {interval(best.interval_um)})"))
 
 
 FILLED = 0.9995  # larger fill factors are shown as 100 %: data sheets give the numbers of the whole pixel
@@ -68,31 +67,24 @@ def unconverged(header: Mapping[str, Any], film: FilmError | None) -> list[str]:
     film : None if its error was not measured
     """
     error, limit = light_error_and_limit(header, film)
-    if converged(error, limit):
+    above = exceeded(error, limit)
+    if not above:
         return []
-    first = f"{NOT_CONVERGED}: {'; '.join(words for words in unmet(error, limit))}"
+    first = f"{NOT_CONVERGED}: {'; '.join(unmet(error, limit))}"
     if film is None:
         return [f"{first}. To be surer: a render of its own, with more samples"]
 
-    means, noise = [], header.get("render_noise", {})
-    if not film.met and "--resolution" in film.limit:
-        means.append(f"leaving out {setting('resolution')}")
-    if not converged(replace(error, film_delta_e=None), limit):
-        delta_e, most_delta_e = error.noise_delta_e or math.nan, limit.noise_delta_e or math.nan
-        is_known = math.isfinite(delta_e)
-        times, seconds = what_reaches(delta_e, most_delta_e) if is_known else what_reaches(noise["fraction"], noise["target"])
-        by_clock = noise.get("ended_by") == "max_seconds"
-        longer = f"a longer {setting('max_seconds')}"
-        option = longer if by_clock else setting("max_seconds", f"{seconds:.15g}")
-        means.append(f"{option} (about {times:.15g} times as many samples)")
-    elif noise.get("fraction", 0.0) > RENDER_NOISE:
-        # Coarser films show it too, so that it counts as their error.
-        means.append(f"a lower {setting('render_noise')}")
-    elif not film.met and "--max-seconds" in film.limit:
-        means.append(f"a longer {setting('max_seconds')}")
-    surer = [" and ".join(means)] * bool(means)
-    window = f"a smaller part of the die ({setting('window_mm')}, in mm)"
-    return [f"{first}. To be surer: {', or '.join([*surer, window])}"]
+    means = []
+    if "film_delta_e" in above:
+        means.append(f"a finer film ({setting('resolution')})")
+    if "noise_delta_e" in above:
+        noise = header["render_noise"]
+        is_known = math.isfinite(above["noise_delta_e"])
+        sizes = (error.noise_delta_e, limit.noise_delta_e) if is_known else (noise["fraction"], noise["target"])
+        times, _ = what_reaches(*sizes)
+        means.append(f"a longer {setting('max_seconds')} (about {times:.15g} times as many samples)")
+    means.append(f"or a smaller part of the die ({setting('window_mm')}, in mm)")
+    return [f"{first}. To be surer: {', '.join(means)}"]
 
 
 def lens_words(camera: Camera) -> str:
@@ -109,16 +101,10 @@ def thin_lens_words(camera: Camera) -> str:
 
 
 def film_words(film: dict[str, Any]) -> str:
-    """Return the film of a result, the largest error of mean ΔE that it may cause, and why it is not finer if that is too large."""
+    """Return the film of a result, and its error; why it is not finer, where the error is too large."""
     height, width = film["shape"]
-    words = f"film of {width} × {height} samples, its error"
-    if film["met"]:
-        return f"{words} at most {film['delta_e']:.1g} ΔE"
-    tolerated = min(film["tolerated_delta_e"])
-    if film["delta_e"] is None:
-        return f"{words} unknown, {tolerated:.2g} tolerated: {film['limit']}"
-    error, most = told_apart(film["delta_e"], tolerated, 1)
-    return f"{words} at most {error} ΔE, more than the {most} tolerated: {film['limit']}"
+    words = f"film of {width} × {height} samples"
+    return f"{words}, its error at most {film['delta_e']:.1g} ΔE" if film["met"] else f"{words} ({film['limit']})"
 
 
 def view_words(

@@ -314,9 +314,9 @@ def test_search_comes_near_the_maximum_of_what_is_seen_nowhere(start: float) -> 
 def test_words_of_a_threshold_name_the_range_that_was_found() -> None:
     tried = (1.0, 8.0)
     for value, upper_value, words in (
-        (12.0, None, "5 is reached at lux = 12"),
-        (12.0, 1837.0, "5 is reached at lux of 12 to 1837"),
-        (None, 1837.0, "5 is reached at lux up to 1837"),
+        (12.0, None, "5 is reached at lux from 12 on"),
+        (12.0, 1837.0, "5 is reached at lux from 12 on up to 1840"),
+        (None, 1837.0, "5 is reached at lux up to 1840"),
         (None, None, "5 is not reached at lux of 1 to 8: d′ is at most 4, at 3"),
     ):
         threshold = Threshold("lux", 5.0, value, tried, "d′ is at most 4, at 3" if value == upper_value else "", upper_value)

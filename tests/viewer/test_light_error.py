@@ -13,7 +13,7 @@ import pixsim
 from pixsim.base.caller import command_line
 from pixsim.base.digits import with_error
 from pixsim.report.curve import optimum_line
-from pixsim.report.run import score_parts, shown_mean_of
+from pixsim.report.run import run_answer, shown_mean_of
 from pixsim.report.study_facts import study_light_words, study_unconverged
 from pixsim.report.wording import unconverged
 from pixsim.show.document import plain_text
@@ -93,27 +93,24 @@ def test_mean_of_a_run_is_as_sure_as_it_looks(noise, film, shown, reasons):
     lines = unconverged(result.irradiance.header, result.rendered and result.rendered.film)
     assert len(lines) == bool(reasons)
     assert all(reason in line for line in lines for reason in reasons)
-    assert plain_text(score_parts(result)[0]).startswith(f"mean ΔE {shown}{',' * bool(reasons)} with 8 × 8 pixels")
+    answer = run_answer(result)
+    assert plain_text(answer.head) == f"mean ΔE {shown}"
+    assert any(line.startswith("8 × 8 pixels") for line in map(plain_text, answer.below))
 
 
 @pytest.mark.parametrize(
-    ("noise", "limit", "means", "others"),
+    ("noise", "film", "means", "others"),
     [
-        # 12² times the samples, in twice the 30 s that the limit of samples takes on two cores
-        (NOISY, "", ["--max-seconds 8000 (about 140 times"], ["--resolution"]),
-        (NOISY | {"ended_by": "max_seconds"}, "", ["a longer --max-seconds (about 140 times"], ["9000"]),
-        (QUIET, "set by --resolution", ["leaving out --resolution"], ["--max-seconds"]),
-        (QUIET, "as --max-seconds allows", ["a longer --max-seconds"], ["--resolution", "times"]),
-        (NOISY | {"delta_e": None}, "", ["--max-seconds 8000 (about 140 times"], ["--resolution"]),
-        (TOLERATED, "", ["--max-seconds 800 (about 13 times"], ["--resolution"]),  # (0.36/0.1)²
-        (QUIET | {"fraction": 2.4, "target": 3.0}, "", ["a lower --render-noise, or"], ["--max-seconds"]),
+        (NOISY, FINE, ["a longer --max-seconds (about 140 times"], ["--resolution"]),  # 12²
+        (NOISY | {"delta_e": None}, FINE, ["a longer --max-seconds (about 140 times"], ["--resolution"]),
+        (TOLERATED, FINE, ["a longer --max-seconds (about 13 times"], ["--resolution"]),  # (0.36/0.1)²
+        (QUIET, COARSE, ["a finer film (--resolution)"], ["--max-seconds"]),
         # the film's error does not fall with noise alone, nor the noise with the film
-        (NOISY, "set by --resolution", ["leaving out --resolution and --max-seconds 8000 (about 140 times", "), or a"], []),
-        (QUIET, "the limit of 64 samples across", ["To be surer: a smaller part of the die"], ["--resolution", "--max-seconds"]),
+        (NOISY, COARSE, ["a finer film (--resolution), a longer --max-seconds (about 140 times", "), or a"], []),
     ],
 )
-def test_unconverged_result_says_what_makes_it_surer(noise, limit, means, others):
-    result = of_run(noise, replace(COARSE, limit=limit))
+def test_unconverged_result_says_what_makes_it_surer(noise, film, means, others):
+    result = of_run(noise, film)
     with command_line():
         (line,) = unconverged(result.irradiance.header, result.rendered.film)
     assert all(words in line for words in [*means, "(--window, in mm)"])
