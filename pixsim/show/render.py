@@ -43,8 +43,6 @@ if TYPE_CHECKING:
 
 PAGE = "report.html"
 TEMPLATE, MACROS = "document.html.j2", "macros.html.j2"
-# The end of a sentence; behind "f/4." or "eq." follows no capital letter.
-SENTENCE_END = re.compile(r"(?<=[.?!])\s+(?=[A-ZΔ\d])")
 CODE = re.compile(r"`([^`]+)`")  # in descriptions, as in docstrings
 MOST_TOGETHER = 4  # words of a number and its unit that stay on one line
 BELOW = "  "  # before the rows of a table, the items of a list, and what belongs to a headline
@@ -144,8 +142,6 @@ def _environment() -> Environment:
         "plain": plain_text,
         "capital": _capital,
         "sentence": _sentence,
-        "answer": lambda caption: answer_and_rest(caption)[0].replace("`", ""),
-        "captioned": _captioned,
         "kind": lambda block: "Text" if type(block) in (str, tuple) else type(block).__name__,
     }
     environment.filters |= filters
@@ -186,19 +182,6 @@ def _sentence(text: Text) -> Text:
     return joined([_capital(text), *["."] * (not plain_text(text).endswith(STOPS))], "")
 
 
-def answer_and_rest(caption: str) -> tuple[str, str]:
-    """Return the first sentence of a caption, which answers the question of its figure, and the others."""
-    first, *rest = SENTENCE_END.split(caption, maxsplit=1)
-    return first, "".join(rest)
-
-
-def _captioned(caption: str) -> Markup:
-    """Return a caption as HTML with its answer in bold."""
-    from markupsafe import Markup
-
-    return Markup("<strong>{}</strong> {}").format(*map(_marked, answer_and_rest(caption)))
-
-
 def write(document: Document, folder: Path, provenance: dict[str, Any] | None = None, figures: Figures = "svg") -> Path:
     """Write the page, the figures with their data, the data and further files of a document, and return the path of the page.
 
@@ -216,14 +199,13 @@ def write_files(document: Document, folder: Path, figures: Figures = "svg") -> N
     """Write all files of a document but their provenance to a new folder."""
     with ThreadPoolExecutor(2) as pool:
         written = [pool.submit(make, folder) for make in document.writers]
-        document = document.finish() if document.finish else document
         drawn = (plot.drawn_as(figures).files for plot in document.plots)
         plots = {f"{document.figures}/{name}": content for files in drawn for name, content in files.items()}
         for name, content in {**plots, **document.files, document.page: html(document)}.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
         write_json(folder / document.data_file, document.data)
-        for each in written:
-            each.result()
+        for writer in written:
+            writer.result()
     for name, part in document.parts.items():
         write_files(part, folder / name, figures)

@@ -37,7 +37,6 @@ from pixsim.scene.charts import DIE_MM
 from pixsim.sensor.motion_options import Motion
 from pixsim.show.figures import ISO_SMOOTHING_DOTS, label_axes, new_figure, own_style, svg_text
 from pixsim.show.pages import Plate
-from pixsim.show.render import answer_and_rest
 from pixsim.studies.claims import Evidence, dr_and_snr_db, growth_exponent
 from pixsim.studies.design import pixel_of
 from pixsim.studies.merit import detail_terms, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, system_mtf
@@ -476,20 +475,6 @@ def test_svg_text_has_its_targets_and_images(saved: dict[str, str]) -> None:
             assert min(picture.shape[:2]) > 1, name
             images += 1
     assert images >= 8  # the scene, three pictures of either kind, the cells
-
-
-@pytest.mark.parametrize(
-    ("caption", "answer"),
-    [
-        ("At f/2.8 it is 3.1 µm (0.35um; 95 %: 2 to 4 µm). Points: means.", "At f/2.8 it is 3.1 µm (0.35um; 95 %: 2 to 4 µm)."),
-        ("One sentence, ΔE = 0.5", "One sentence, ΔE = 0.5"),
-        ("No. ΔE is small. More.", "No."),
-    ],
-)
-def test_answer_and_rest_split_at_the_first_sentence(caption: str, answer: str) -> None:
-    first, rest = answer_and_rest(caption)
-    assert first == answer
-    assert " ".join(filter(None, (first, rest))) == caption
 
 
 def test_figure_in_a_page_is_the_file_drawn(plates: dict[str, Plate]) -> None:

@@ -135,8 +135,7 @@ def test_write_publishes_arrays_and_parts_with_a_document_and_leaves_its_sources
     render.write(document(files={"source.txt": "of an earlier document", "old.txt": ""}, sections=()), folder)
     part = document(sections=(), figures=".", lead=(Plot(plate),), data_file="part.json", page="part.html")
     content = {"writers": (lambda unfinished: (unfinished / "a.exr").write_bytes(b"array"),), "parts": {".": part, "case": part}}
-    finished = document(**content, sections=(), files={"page.csv": "a"})
-    render.write(document(**content, sources=(folder / "source.txt",), finish=lambda: finished), folder)
+    render.write(document(**content, sources=(folder / "source.txt",), sections=(), files={"page.csv": "a"}), folder)
     names = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
     own = {"part.html", "part.json", "line.svg", "line.csv"}
     whole = {"a.exr", "page.csv", "report.html", "summary.json", "provenance.json", "source.txt"}
