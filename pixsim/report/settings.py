@@ -50,7 +50,7 @@ def scene_rows(
         rows.append(("luminance_cd_per_m2", f"{scene_white:.4g}", "white of the scene, which is not shown as display white", ""))
     seen = light.unit == "cd/m²"
     name, what = ("white_cd_per_m2", "luminance") if seen else ("white_w_per_m2_sr", "radiance")
-    rows.append((name, f"{light.white:.4g}", f"scene {what} shown as display white", light.white_from))
+    rows.append((name, f"{light.white:.4g}", f"scene {what} shown as display white, from {light.white_from}", ""))
     rows.append(("white_spectrum", light.white_spectrum, "light of the scene's white", ""))
     rows.append(("integration_s", light.exposure, "exposure time: shortest to longest frame", ""))
     return rows
