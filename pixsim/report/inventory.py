@@ -23,19 +23,15 @@ def cache_document(summary: Mapping[str, Any], freed_bytes: int | None = None) -
     def mib(size_bytes: int) -> str:
         return f"{size_bytes / MIB:.1f} MiB"
 
-    freed, foreign = ([] if freed_bytes is None else [f"removed {mib(freed_bytes)}"]), summary["foreign_bytes"]
-    size = Answer(f"{summary['folder']}: {mib(summary['size_bytes'])} of {summary['limit_bytes'] / MIB:.0f}")
-    rows = [
-        (name, f"{kind['entries']} entr{'y' if kind['entries'] == 1 else 'ies'}", mib(kind["size_bytes"]))
-        for name, kind in summary["kinds"].items()
-    ]
-    others = f"{mib(foreign)} of other files, or of another release, which pixsim leaves alone"
-    blocks: list[Block] = [
-        *freed,
-        size,
-        *([DocumentTable("entries", (), rows)] if rows else []),
-        *([Listed(others)] if foreign else []),
-    ]
+    blocks: list[Block] = []
+    if freed_bytes is not None:
+        blocks.append(f"removed {mib(freed_bytes)}")
+    blocks.append(Answer(f"{summary['folder']}: {mib(summary['size_bytes'])} of {mib(summary['limit_bytes'])}"))
+    rows = [(name, f"{kind['entries']} entries", mib(kind["size_bytes"])) for name, kind in summary["kinds"].items()]
+    if rows:
+        blocks.append(DocumentTable("entries", (), rows))
+    if summary["foreign_bytes"]:
+        blocks.append(Listed([f"{mib(summary['foreign_bytes'])} of other files, or of another release, which pixsim leaves alone"]))
     data = {**summary} | ({} if freed_bytes is None else {"freed_bytes": freed_bytes})
     return Document("cache", "cache", summary["folder"], data, blocks)
 
@@ -45,11 +41,11 @@ def cameras_document(cameras: Sequence[CameraEntry], sources: Mapping[str, str])
 
     sources : of each kind
     """
-    rows = [
-        (each.name, each.kind, each.channels, f"{each.range_nm[0]:g}-{each.range_nm[1]:g} nm, peaks {peaks} nm", each.words)
-        for each in cameras
-        for peaks in [", ".join(f"{nm:g}" for nm in each.peak_nm)]
-    ]
+    rows = []
+    for camera in cameras:
+        low_nm, high_nm = camera.range_nm
+        peaks = ", ".join(f"{peak_nm:g}" for peak_nm in camera.peak_nm)
+        rows.append((camera.name, camera.kind, camera.channels, f"{low_nm:g}-{high_nm:g} nm, peaks {peaks} nm", camera.words))
     use = 'use: pixel.colour.sensitivities = "NAME" with pixel.colour.peak_quantum_efficiency; pixsim cameras --json has the notes'
     kinds = (f"{kind}: {words}" for kind, words in sources.items())
     blocks: list[Block] = [DocumentTable("cameras", (), rows, words=None), *kinds, use]

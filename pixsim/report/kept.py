@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from importlib import resources
 from pathlib import Path
@@ -26,6 +26,7 @@ from pixsim.base.files import (
 )
 from pixsim.base.mapped import update_with_array
 from pixsim.base.notes import Note
+from pixsim.light.spectral import SpectralImage
 from pixsim.show.document import Document
 from pixsim.show.pages import Figures
 from pixsim.studies.result import StudyResult
@@ -75,10 +76,8 @@ def digest_of_content(*content: object) -> str:
 
     Raises TypeError for a value of an unknown kind.
     """
-    digest = hashlib.blake2b(digest_size=16)
-    for text in _texts([_environment(), *content], digest):
-        digest.update(f"{len(text)}:{text}".encode(errors="surrogatepass"))
-    return digest.hexdigest()
+    text = json.dumps([_environment(), *content], default=_as_json, sort_keys=True)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
 def _environment() -> list[object]:
@@ -87,31 +86,27 @@ def _environment() -> list[object]:
     return [cache.version_fingerprint(*DEPENDENCIES, *DRAWING), versions(), *map(digest_of, templates)]
 
 
-def _texts(value: object, digest: hashlib.blake2b) -> Iterator[str]:
-    """Yield texts that tell a value from others; arrays go to `digest` themselves.
+def _as_json(value: object) -> object:
+    """Return what tells a value from others as JSON content.
 
     Raises TypeError for a value of another kind: what it holds would not be compared.
     """
-    if value is None or isinstance(value, bool | int | float | str | np.generic | os.PathLike):
-        yield repr(value)
-    elif isinstance(value, np.ndarray):
-        update_with_array(digest, value)
-    elif callable(of_light := getattr(value, "digest", None)):  # of a SpectralImage
-        yield of_light()
-    elif isinstance(value, Mapping):
-        yield f"table of {len(value)}"
-        for key, content in value.items():
-            yield repr(key)
-            yield from _texts(content, digest)
-    elif isinstance(value, list | tuple | set | frozenset):
-        yield f"list of {len(value)}"
-        for content in sorted(value, key=repr) if isinstance(value, set | frozenset) else value:
-            yield from _texts(content, digest)
-    elif isinstance(value, BaseModel):
-        yield type(value).__name__
-        yield from _texts([dict(value), value.model_fields_set], digest)
-    elif is_dataclass(value):
-        yield type(value).__name__
-        yield from _texts({each.name: getattr(value, each.name) for each in fields(value) if each.name not in LEFT_OUT}, digest)
-    else:
+    match value:
+        case np.ndarray():
+            digest = hashlib.blake2b(digest_size=16)
+            update_with_array(digest, value)
+            return digest.hexdigest()
+        case SpectralImage():
+            return value.digest()
+        case BaseModel():
+            return [type(value).__name__, dict(value), sorted(value.model_fields_set)]
+        case Mapping():
+            return dict(value)
+        case os.PathLike() | np.generic():
+            return repr(value)
+        case set() | frozenset():
+            return sorted(map(repr, value))
+    if not is_dataclass(value):
         raise TypeError(f"a report made from {type(value).__name__}, whose content is not known")
+    compared = {field.name: getattr(value, field.name) for field in fields(value) if field.name not in LEFT_OUT}
+    return [type(value).__name__, compared]

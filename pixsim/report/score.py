@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
 from pixsim.base.digits import estimate, pixel_size, told_apart, with_error, within_error
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.schema import result_data
@@ -14,7 +12,7 @@ from pixsim.base.tables import rows_csv
 from pixsim.show.document import Answer, Document, Plot, Section, pairs
 from pixsim.show.figures import new_figure
 from pixsim.show.pages import Drawing, coarse_table, figure
-from pixsim.show.pictures import VIEWING_GAMMA, light_png, scale_end
+from pixsim.show.pictures import display_codes, light_png, scale_end
 from pixsim.show.presenter import Presenter
 from pixsim.show.sentences import sentence, settings_line
 from pixsim.viewer.delta_e_statistics import percentiles
@@ -32,7 +30,7 @@ def score_plate(score: Score) -> Drawing:
     figure = new_figure(3 * PANEL_IN + 0.6, PANEL_IN + 0.3)
     axes = figure.subplots(1, 3, sharex=True, sharey=True)
     for panel, picture, title in zip(axes, (score.ideal, score.image), ("ideal", "sensor"), strict=False):
-        panel.imshow(np.clip(picture, 0, 1) ** (1 / VIEWING_GAMMA), cmap="gray", vmin=0, vmax=1, interpolation="nearest")
+        panel.imshow(display_codes(picture), cmap="gray", vmin=0, vmax=255, interpolation="nearest")
         panel.set_title(title)
 
     end = scale_end(*percentiles(score.delta_e, (99,)))
@@ -80,8 +78,6 @@ def _sentences(score: Score) -> list[str]:
         return []
     settings = score.physics.pixel.model_dump(exclude_unset=True, exclude_none=True)
     texts = [
-        "one frame of one sensor: how much others differ is told by pixsim.study, whose means have 95 % intervals",
-        "the errors of a scene's light, by its film and by render noise, are measured by pixsim.run and pixsim.study",
         f"pixel: {settings_line(settings)}; all else is the default",
         *map(str, score.causes),
         *(f"{NOT_CONVERGED}: {words}" for words in unmet(score.light, score.light_limit)),

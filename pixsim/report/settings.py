@@ -30,26 +30,19 @@ Row = tuple[str, Any, str, str]  # setting, value, meaning, source
 def scene_rows(
     irradiance: SpectralImage, parameters: Mapping[str, object], light: LightLevel, sources: Mapping[str, str] | None = None
 ) -> list[Row]:
-    """Return the rows of the scene: its file, parameters, luminance and exposure.
+    """Return the rows of the scene: its file, parameters, white and exposure.
 
     parameters : of the scene, as set by the user
     sources : dotted name -> source of its value
     """
-    header = irradiance.header
-    sources = sources or {}
+    header, sources = irradiance.header, sources or {}
     default = sources.get("scene.parameters", "set")
     file = header.get("scene", header.get("source"))
     rows = [("file", file, "scene or picture", sources.get("scene.file", ""))] if file else []
     for name, value in parameters.items():
         text = Path(value).name if isinstance(value, str) else setting_value(value, name)
         rows.append((name, text, "parameter of the scene", sources.get(f"scene.parameters.{name}", default)))
-    if "film" in header:
-        rows.append(("film", " × ".join(str(side) for side in reversed(header["film"])), "samples of the rendered film", ""))
-    scene_white = header.get("luminance_cd_per_m2")
-    if isinstance(scene_white, int | float) and scene_white != light.white:
-        rows.append(("luminance_cd_per_m2", f"{scene_white:.4g}", "white of the scene, which is not shown as display white", ""))
-    seen = light.unit == "cd/m²"
-    name, what = ("white_cd_per_m2", "luminance") if seen else ("white_w_per_m2_sr", "radiance")
+    name, what = ("white_cd_per_m2", "luminance") if light.unit == "cd/m²" else ("white_w_per_m2_sr", "radiance")
     rows.append((name, f"{light.white:.4g}", f"scene {what} shown as display white, from {light.white_from}", ""))
     rows.append(("white_spectrum", light.white_spectrum, "light of the scene's white", ""))
     rows.append(("integration_s", light.exposure, "exposure time: shortest to longest frame", ""))
@@ -88,17 +81,17 @@ def settings_tables(
     from_data_sheet, sources : of `record_rows`
     """
     records = {"camera": camera, "pixel": pixel, "exposure": settings.exposure, "correction": settings.correction}
-    records |= {
-        "motion": settings.motion if settings.motion.is_on else None,
-        "develop": settings.develop if coloured or settings.develop.words else None,
-        "display": settings.display,
-    }
-    used = {
-        name: record_rows(name, record, from_data_sheet, sources, coloured=coloured)
+    if settings.motion.is_on:
+        records["motion"] = settings.motion
+    if coloured or settings.develop.words:
+        records["develop"] = settings.develop
+    records["display"] = settings.display
+    used = [
+        settings_table(name, record_rows(name, record, from_data_sheet, sources, coloured=coloured))
         for name, record in records.items()
         if record is not None
-    }
-    return [settings_table(name, own) for name, own in {"scene": scene, **used}.items()]
+    ]
+    return [settings_table("scene", scene), *used]
 
 
 def settings_table(name: str, rows: Iterable[Row]) -> DocumentTable:

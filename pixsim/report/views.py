@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy  # whose parts are imported when they are used
 
 from pixsim.base.arrays import Array
-from pixsim.report.pictures import crops, picture_axes
+from pixsim.base.digits import estimate, pixel_size
+from pixsim.report.pictures import crops, picture_axes, whole_picture
 from pixsim.show.figures import (
     ISO_SMOOTHING_DOTS,
     LEGEND_LINE,
@@ -29,7 +30,6 @@ from pixsim.show.pictures import (
     contact_sheet_png,
     display_codes,
     factor_for,
-    reduced,
     scale_end,
     window_at,
     worst_window,
@@ -66,9 +66,9 @@ def study_pictures(result: StudyResult, curve: Curve, score: FrameScore, mean: A
     where = picture_axes(result.irradiance, score.border_um)
     ideal.set_title("ideal image")
     draw_picture(ideal, score.ideal, where)
-    image.set_title(literal(f"{curve.label}: image from {pitch_um:.2f} µm pixels"))
+    image.set_title(literal(f"{curve.label}: image from {pixel_size(pitch_um)} pixels"))
     draw_picture(image, score.image, where)
-    map_.set_title(f"ΔE map, mean {score.mean_delta_e:.3f}")
+    map_.set_title(f"ΔE map, mean {estimate(score.mean_delta_e)}")
     draw_delta_e(map_, figure.add_subplot(grid[1, 1]), score.delta_e, where, map_end(result))
     iso.set_title(f"curves of equal ΔE, mean of {sensors} sensors")
     level = result.study.iso_delta_e
@@ -83,16 +83,17 @@ def draw_iso(
 ) -> list[tuple[float, float]]:
     """Draw curves of equal ΔE (level, look, width, label) in the picture's axes, and return their points, (x, y) in mm."""
     points: list[tuple[float, float]] = []
+    rows, columns = smooth.shape
     left, right, bottom, top = where.extent_mm
-    x = left + (np.arange(smooth.shape[1]) + 0.5) / smooth.shape[1] * (right - left)
-    y = top + (np.arange(smooth.shape[0]) + 0.5) / smooth.shape[0] * (bottom - top)
-    if drawn := [line for line in lines if smooth.min() < line[0] < smooth.max()]:
-        levels, looks, widths, _ = zip(*drawn, strict=True)
-        colours, dashes = [look.colour for look in looks], [look.dashes for look in looks]
-        contours = axes.contour(x, y, smooth, levels, colors=colours, linestyles=dashes, linewidths=widths)
-        handles = [axes.plot([], [], lw=width, label=label, **look.stroke)[0] for _, look, width, label in drawn]
-        axes.legend(handles=handles, frameon=False, loc="upper left", handlelength=LEGEND_LINE)
-        points = [(float(px), float(py)) for segments in contours.allsegs for segment in segments for px, py in segment]
+    x = left + (np.arange(columns) + 0.5) / columns * (right - left)
+    y = top + (np.arange(rows) + 0.5) / rows * (bottom - top)
+    for level, look, width, label in lines:
+        if smooth.min() < level < smooth.max():
+            contours = axes.contour(x, y, smooth, [level], colors=look.colour, linestyles=[look.dashes], linewidths=width)
+            axes.plot([], [], lw=width, label=label, **look.stroke)
+            points += [(float(x_mm), float(y_mm)) for segment in contours.allsegs[0] for x_mm, y_mm in segment]
+    if points:
+        axes.legend(frameon=False, loc="upper left", handlelength=LEGEND_LINE)
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     label_axes(axes, where)
     for spine in axes.spines.values():
@@ -134,55 +135,50 @@ def map_end(result: StudyResult) -> float:
     return scale_end(float(max(shown)))
 
 
-def is_best(curve: Curve, place: int) -> bool:
-    """Return whether a pitch is labelled as the least tried; one at an end of the range is not, unless the optimum lies inside."""
-    return place == best_place(curve) and (curve.optimum.inside or 0 < place < curve.pitch_um.size - 1)
-
-
 def study_views(result: StudyResult, curve: Curve, best: FrameScore) -> Views:
     """Return whole pictures of the smallest, best and largest pixels, and a detail from every pitch.
 
     best : score of the first sensor at `best_place`
     """
-    at, last = best_place(curve), curve.pitch_um.size - 1
-    ends = sorted({0, at, last})
-    sizes_um = {place: float(curve.pitch_um[place]) for place in ends}
-    scores = {
-        place: best if place == at else result.shown_scores(curve.technology, size_um, 1)[0] for place, size_um in sizes_um.items()
-    }
-    ideal, end = max((score.ideal for score in scores.values()), key=lambda picture: picture.size), map_end(result)
-    shape = ideal.shape[0], ideal.shape[1]
+    at, last, end = best_place(curve), curve.pitch_um.size - 1, map_end(result)
+    scores = {at: best}
+    for place in {0, last} - {at}:
+        scores[place] = result.shown_scores(curve.technology, float(curve.pitch_um[place]), 1)[0]
+    scores = dict(sorted(scores.items()))
+
+    ideal = max((score.ideal for score in scores.values()), key=np.size)
+    rows, columns = ideal.shape[:2]
     centre = result.study.detail
-    window = window_at(centre, shape) if centre else worst_window([scores[0].delta_e, scores[last].delta_e])
+    window = window_at(centre, (rows, columns)) if centre else worst_window([scores[0].delta_e, scores[last].delta_e])
+
     tiles = [Picture(display_codes(window.of(ideal)), "ideal image")]
-    for place in range(last + 1):
-        size_um = float(curve.pitch_um[place])
-        part = window.of(scores[place].image) if place in scores else result.shown_part(curve.technology, size_um, window.of)
-        tiles.append(Picture(display_codes(part), *labels(curve, place), is_best(curve, place)))
-    optimum = f"; the optimum is {curve.optimum.pitch_um:.2f} µm" if curve.optimum.inside else ""
-    framed = f"; framed: the {LEAST}{optimum}" if is_best(curve, at) else ""
+    for place, pitch_um in enumerate(curve.pitch_um.tolist()):
+        part = window.of(scores[place].image) if place in scores else result.shown_part(curve.technology, pitch_um, window.of)
+        tiles.append(Picture(display_codes(part), *labels(curve, place), place == at))
+
+    outputs = []
+    for place, score in scores.items():
+        size, mean = labels(curve, place)
+        outputs.append(replace(whole_picture(score.image, f"{rank(curve, place)}, {size}"), note=mean))
     return Views(
         label=curve.label,
         file_label=curve.file_label,
         place=window.centre,
         tiles=tuple(tiles),
-        crops=tuple(crops(scores[place], window, rank(curve, place), end) for place in ends),
-        ideal=Picture(display_codes(reduced(ideal)), "ideal image"),
+        crops=tuple(crops(score, window, rank(curve, place), end) for place, score in scores.items()),
+        ideal=whole_picture(ideal, "ideal image"),
         factor=factor_for(ideal),
-        outputs=tuple(
-            Picture(display_codes(reduced(scores[place].image)), f"{rank(curve, place)}, {size}", mean)
-            for place, (size, mean) in ((place, labels(curve, place)) for place in ends)
-        ),
-        sheet=contact_sheet_png(f"{curve.label}: the same detail for every pixel size, 1:1{framed}", tiles),
+        outputs=tuple(outputs),
+        sheet=contact_sheet_png(f"{curve.label}: the same detail for every pixel size, 1:1; framed: the {LEAST}", tiles),
     )
 
 
 def labels(curve: Curve, place: int) -> tuple[str, str]:
     """Return the pixel size, and the mean ΔE over the whole picture and all sensors, as text."""
-    return f"{curve.pitch_um[place]:.2f} µm", f"mean ΔE {curve.mean('mean_delta_e')[place]:.3f}"
+    return pixel_size(float(curve.pitch_um[place])), f"mean ΔE {estimate(float(curve.mean('mean_delta_e')[place]))}"
 
 
 def rank(curve: Curve, place: int) -> str:
     """Return whether a pitch is the smallest, the largest or that of the least error tried, as text."""
-    parts = {"smallest": place == 0, "largest": place == curve.pitch_um.size - 1, LEAST: is_best(curve, place)}
-    return ", ".join(part for part, is_so in parts.items() if is_so)
+    names = {0: "smallest", curve.pitch_um.size - 1: "largest"}
+    return ", ".join(filter(None, (names.get(place), LEAST if place == best_place(curve) else "")))
