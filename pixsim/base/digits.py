@@ -26,11 +26,13 @@ def rounded(value: float, digits: int = 2) -> str:
 
 
 def estimate(value: float, digits: int = 3) -> str:
-    """Return an estimate whose error is not known, in significant digits, with zeros at the end.
+    """Return an estimate whose error is not known, in significant digits, with zeros at the end; a dash where it is unknown.
 
-    >>> estimate(0.9), estimate(76.543), estimate(15234.0)
-    ('0.900', '76.5', '15200')
+    >>> estimate(0.9), estimate(76.543), estimate(15234.0), estimate(float("nan"))
+    ('0.900', '76.5', '15200', '–')
     """
+    if not math.isfinite(value):
+        return UNKNOWN
     decimals = digits - 1 - _decade(value)
     return f"{round(value, decimals):.{max(decimals, 0)}f}"
 

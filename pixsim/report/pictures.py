@@ -46,11 +46,11 @@ def _ratio_ticks(ends_mm: tuple[float, float], ends: tuple[float, float], inner:
 
 def _even_ticks(first_mm: float, last_mm: float) -> tuple[tuple[float, str], ...]:
     """Return ticks in steps of 1, 2 or 5 times a power of ten."""
-    rough = (last_mm - first_mm) / (MAX_TICKS - 1)
-    unit = 10.0 ** math.floor(math.log10(rough))
-    step = unit * min(factor for factor in (1, 2, 5, 10) if factor * unit >= rough * (1 - 1e-9))
-    steps = range(math.ceil(first_mm / step * (1 - 1e-9)), math.floor(last_mm / step * (1 + 1e-9)) + 1)
-    return tuple((step * n, f"{step * n:.3g}") for n in steps)
+    decade = math.floor(math.log10(last_mm - first_mm)) - 1
+    steps = (factor * 10.0**power for power in range(decade, decade + 3) for factor in (1, 2, 5))
+    step = next(step for step in steps if (last_mm - first_mm) / step <= (MAX_TICKS - 1) * (1 + 1e-9))
+    numbers = range(math.ceil(first_mm / step - 1e-9), math.floor(last_mm / step + 1e-9) + 1)
+    return tuple((step * number, f"{step * number:.3g}") for number in numbers)
 
 
 def whole_picture(light: Array, name: str) -> Picture:

@@ -396,7 +396,7 @@ def threshold_words(result: RunResult, d_prime: float) -> str:
     threshold = result.settings.metric.detectability.threshold
     factor, reason = contrast_factor(result.chain.expected(result.score.frame.integration_s), d_prime)
     if not reason:
-        return f"{threshold:g} is reached at {factor:.3g} times this contrast, where contrasts are small"
+        return f"{threshold:g} is reached at {rounded(factor, 3)} times this contrast, where contrasts are small"
     return f"no factor of its contrast leads to {threshold:g}: {reason}" if d_prime >= threshold else f"not seen: {reason}"
 
 
@@ -480,7 +480,7 @@ def _errors(result: RunResult, delta_e: bytes) -> Iterator[Block]:
     """Yield the map of the errors, as PNG, and the detail with the largest ones."""
     score, p99 = result.score, result.statistics[0]["p99_delta_e"]
     end = scale_end(p99)
-    yield Map(delta_e, f"S-CIELAB ΔE. One dot in a hundred has more than {p99:.3g}.")
+    yield Map(delta_e, f"S-CIELAB ΔE. One dot in a hundred has more than {estimate(p99)}.")
     left_mm, right_mm, bottom_mm, top_mm = extent(result.irradiance, score.border_um)
     window = worst_window([score.delta_e])
     x_mm = left_mm + window.centre[0] * (right_mm - left_mm)
@@ -514,7 +514,7 @@ def _numbers(result: RunResult) -> Iterator[tuple[str, str]]:
     imaging, path_um = result.chain.imaging, result.chain.moving.longest_um
     frequency_lp_per_mm, name, sensor_terms, display_terms = detail_terms(imaging, result.irradiance, path_um)
     for term, mtf in {**sensor_terms, **display_terms}.items():
-        yield f"MTF at {frequency_lp_per_mm:.3g} lp/mm, {name}: {term}", f"{mtf:.3f}"
+        yield f"MTF at {frequency_lp_per_mm:.3g} lp/mm, {name}: {term}", estimate(mtf)
 
 
 def budgets_of(result: RunResult) -> dict[str, NoiseBudget]:

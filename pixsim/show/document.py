@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 
 from pixsim.base.digits import number
 from pixsim.base.files import versions
-from pixsim.base.headline import MOST_WORDS, NOT_CONVERGED
+from pixsim.base.headline import MOST_WORDS
 from pixsim.base.notes import Note
 from pixsim.show.figures import pdf_bytes
 from pixsim.show.pages import Drawn, Figures, Plate
@@ -291,25 +291,21 @@ def joined(parts: Iterable[Text], between: str = "; ") -> Text:
     return "".join(map(str, words)) if all(isinstance(word, str) for word in words) else tuple(words)
 
 
-def headline(parts: Iterable[Text], unsure: str = "") -> Answer:
+def headline(parts: Iterable[Text]) -> Answer:
     """Return the answer whose headline is the first parts that have at most 30 words together, and below it the others.
 
     parts : of the answer, what matters most first; empty ones do not count
-    unsure : "not converged: …", of which the headline keeps the first two words where it has no room for all
 
     >>> headline(["a is better than b", "in the whole range"]).head
     'a is better than b; in the whole range'
-    >>> headline(["a is better than b", 26 * "very " + "often"], "not converged: noise").head
-    'a is better than b; not converged'
+    >>> headline(["a is better than b", 30 * "very " + "often"]).head
+    'a is better than b'
     """
-    left = [part for part in parts if part]
-    end, rest = ([NOT_CONVERGED], [unsure]) if unsure else ([], [])
-    if has_room([*left, *rest]):
-        return Answer(joined([*left, *rest]))
-    head = [left.pop(0)]
-    while left and has_room([*head, left[0], *end]):
-        head.append(left.pop(0))
-    return Answer(joined([*head, *end]), (joined([*left, *rest]),))
+    first, *others = [part for part in parts if part]
+    head = [first]
+    while others and has_room([*head, others[0]]):
+        head.append(others.pop(0))
+    return Answer(joined(head), (joined(others),) if others else ())
 
 
 def has_room(parts: Iterable[Text]) -> bool:

@@ -19,6 +19,7 @@ import scipy  # whose parts are imported when they are used
 from pixsim.base.arrays import Array
 from pixsim.base.bounds import Count
 from pixsim.base.caller import parameter, setting
+from pixsim.base.digits import estimate
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import Note, collected_notes, warn, without_warnings
 from pixsim.base.progress import Progress, Stage, no_stage, share_of, watched
@@ -502,7 +503,7 @@ class RunResult(LitRun, Result):
 
     def __repr__(self) -> str:
         metric = metrics_named(self.settings.metrics)[0]
-        value = f"{metric.name} {self.table.columns[metric.columns[0]].mean():.4g}"
+        value = f"{metric.name} {estimate(self.table.columns[metric.columns[0]].mean())}"
         return f"<RunResult {self.prepared.file}: {value}, {self.score.physics.pitch_um:g} µm pixels, {self.delta_e.size} sensors>"
 
 

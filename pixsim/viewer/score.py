@@ -11,7 +11,7 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.bounds import Bounds, NotNegative
-from pixsim.base.digits import exposure_time
+from pixsim.base.digits import estimate, exposure_time
 from pixsim.base.errors import invalid
 from pixsim.base.notes import Note
 from pixsim.base.result import Result
@@ -110,7 +110,7 @@ class Score(Result):
         return dict(zip(COLUMNS, delta_e_statistics(self.delta_e), strict=True)) | self.further
 
     def __repr__(self) -> str:
-        return f"<Score mean ΔE {self.mean_delta_e:.4f}, {' × '.join(map(str, self.delta_e.shape))} dots>"
+        return f"<Score mean ΔE {estimate(self.mean_delta_e)}, {' × '.join(map(str, self.delta_e.shape))} dots>"
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ class FrameScore(Score):
     def __repr__(self) -> str:
         cause = f" ({self.causes[0].words})" if self.causes else ""
         doubt = "" if converged(self.light, self.light_limit) else ", not converged"
-        mean = f"mean ΔE {self.mean_delta_e:.3f}{cause}{doubt}"
+        mean = f"mean ΔE {estimate(self.mean_delta_e)}{cause}{doubt}"
         return f"<Score {mean}, {self.physics.pitch_um:g} µm pixels, {exposure_time(self.frame.integration_s)}>"
 
 

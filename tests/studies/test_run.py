@@ -17,7 +17,7 @@ from scipy import stats
 
 import pixsim
 from pixsim.base.caller import command_line
-from pixsim.base.digits import within_error
+from pixsim.base.digits import estimate, within_error
 from pixsim.base.files import PROVENANCE
 from pixsim.base.schema import SCHEMA
 from pixsim.report.run import run_document, shown_mean_of
@@ -69,7 +69,7 @@ def test_run_of_a_picture_takes_a_file_and_options(tmp_path: Path) -> None:
 
 
 def test_result_is_shown_and_written_as_a_table(made: RunResult, tmp_path: Path) -> None:
-    assert repr(made) == f"<RunResult csf: delta_e {made.mean_delta_e:.4g}, 21.2 µm pixels, 1 sensors>"
+    assert repr(made) == f"<RunResult csf: delta_e {estimate(made.mean_delta_e)}, 21.2 µm pixels, 1 sensors>"
     page = made._repr_html_()
     assert shown_mean_of(made) in page
     assert all(note.partition(":")[0] in page for note in made.notes)
