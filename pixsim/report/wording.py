@@ -118,9 +118,9 @@ def view_words(
     """
     words = []
     if display.raster == "fixed_size":
-        dots = f"shown on {display.dots} dots" + (" (from the sensor's pixels)" if "dots" in chosen else "")
-        a_dot = "" if columns is None else f"{columns / display.dots:.2g}"
-        words.append(f"{dots}, {a_dot} pixel{'s' * (a_dot != '1')} a dot" if a_dot else dots)
+        chosen_dots = " (from the sensor's pixels)" if "dots" in chosen else ""
+        ratio = "" if columns is None else f", {columns / display.dots:.2g} pixels per dot"
+        words.append(f"shown on {display.dots} dots{chosen_dots}{ratio}")
     if (end := stated_end_lp_per_mm(header)) is not None:
         limit = f", {chosen['limited_by']}" if "limited_by" in chosen else ""
         words.append(f"chart to {end:.3g} lp/mm{limit}")

@@ -129,11 +129,10 @@ class Drawn:
 
 def coarse_table(values: Array, name: str) -> dict[str, Column]:
     """Return a picture as a table of at most 64 × 64 block means."""
-    rows, columns = (np.array_split(np.arange(n), min(COARSE, n)) for n in values.shape)
-    by_row = np.stack([values[block].mean(axis=0) for block in rows])
-    coarse = np.stack([by_row[:, block].mean(axis=1) for block in columns], axis=1)
-    table: dict[str, Column] = {"row": list(range(len(rows)))}
-    return table | {f"{name}_column_{index}": coarse[:, index].tolist() for index in range(len(columns))}
+    rows, columns = (min(COARSE, samples) for samples in values.shape)
+    strips = (np.array_split(strip, columns, axis=1) for strip in np.array_split(values, rows))
+    means = np.array([[block.mean() for block in strip] for strip in strips])
+    return {"row": list(range(rows))} | {f"{name}_column_{index}": column.tolist() for index, column in enumerate(means.T)}
 
 
 def data_uri(kind: str, content: bytes) -> str:

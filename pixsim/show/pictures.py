@@ -87,8 +87,8 @@ def delta_e_png(delta_e: Array, where: PictureAxes, end: float) -> bytes:
     draw = ImageDraw.Draw(canvas)
     for x, y, anchor, text in (
         (GAP, TOP - 2 * LINE, "ls", f"S-CIELAB difference from the ideal image, mean {estimate(delta_e.mean())}"),
-        (GAP, TOP - GAP, "ls", where.down.label),
-        (bar, TOP - GAP, "ls", "ΔE"),
+        (GAP, TOP - 3 * GAP, "ls", where.down.label),
+        (bar, TOP - 3 * GAP, "ls", "ΔE"),
         (LEFT + width / 2, bottom + 2 * LINE, "mt", where.across.label),
     ):
         draw.text((x, y), text, BLACK, font(15), anchor=anchor)

@@ -202,9 +202,8 @@ def test_ideal_image_without_contrast_is_named(picture: float, hint: str) -> Non
     (cause,) = score.causes
     low, high = lightness_range(score.ideal)
     assert high - low < 1
-    assert repr(score).startswith(
-        f"<Score mean ΔE {estimate(score.mean_delta_e)} (the ideal image has no contrast, L* {low:.1f} to"
-    )
+    mean = estimate(score.mean_delta_e)
+    assert repr(score).startswith(f"<Score mean ΔE {mean} (the ideal image has no contrast, L* {low:.1f} to")
     assert re.search(hint, str(cause))
     assert f"{str(cause)[0].upper()}{str(cause)[1:]}." in score._repr_html_().replace("&#39;", "'")
 
