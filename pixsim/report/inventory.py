@@ -27,7 +27,10 @@ def cache_document(summary: Mapping[str, Any], freed_bytes: int | None = None) -
     if freed_bytes is not None:
         blocks.append(f"removed {mib(freed_bytes)}")
     blocks.append(Answer(f"{summary['folder']}: {mib(summary['size_bytes'])} of {mib(summary['limit_bytes'])}"))
-    rows = [(name, f"{kind['entries']} entries", mib(kind["size_bytes"])) for name, kind in summary["kinds"].items()]
+    rows = [
+        (name, f"{kind['entries']} entr{'y' if kind['entries'] == 1 else 'ies'}", mib(kind["size_bytes"]))
+        for name, kind in summary["kinds"].items()
+    ]
     if rows:
         blocks.append(DocumentTable("entries", (), rows))
     if summary["foreign_bytes"]:

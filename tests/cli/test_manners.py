@@ -69,7 +69,7 @@ def test_cache_reports_and_clears_entries(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path))
     cache.store_arrays("render", "a", {"x": np.zeros(1 << 20, np.uint8)})
     size = sum(entry.size_bytes for entry in cache.entries())
-    assert command("cache")[1].splitlines() == [f"{tmp_path}: 1.0 MiB of 4096", "  render  1 entry  1.0 MiB"]
+    assert command("cache")[1].splitlines() == [f"{tmp_path}: 1.0 MiB of 4096.0 MiB", "  render  1 entry  1.0 MiB"]
     assert_refused(*command("cache --kind frame"), ["--kind: got 'frame'; allowed: render"])
     code, out, _ = command("cache --clear --json")
     assert (code, json.loads(out)["freed_bytes"], json.loads(out)["kinds"]) == (0, size, {})

@@ -254,8 +254,8 @@ def test_run_window_is_named(tmp_path: Path) -> None:
     sheet = sheet_toml(tmp_path)
     out = quiet_command(f"run csf --config {sheet} --resolution 48 --window 0.7 --irradiance none --out {tmp_path / 'out'}")
     # 202 pixels on as many dots.
-    assert "with 202 × 202 pixels of 3.45 µm" in out
-    assert "shown on 202 dots (from the sensor's pixels), 1 pixel a dot, chart to 144 lp/mm" in out
+    assert "202 × 202 pixels of 3.45 µm, exposed for" in out
+    assert "shown on 202 dots (from the sensor's pixels), 1 pixels per dot; chart to 144 lp/mm" in out
     assert "only the central 0.7 mm of the die are shown and scored" in out
     score = json.loads((tmp_path / "out/score.json").read_text(encoding="utf-8"))
     assert (score["window_mm"], score["camera"]["die_mm"], score["chosen"]["dots"]) == (0.7, 0.7, 202)
