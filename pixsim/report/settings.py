@@ -43,7 +43,7 @@ def scene_rows(
         text = Path(value).name if isinstance(value, str) else setting_value(value, name)
         rows.append((name, text, "parameter of the scene", sources.get(f"scene.parameters.{name}", default)))
     name, what = ("white_cd_per_m2", "luminance") if light.unit == "cd/m²" else ("white_w_per_m2_sr", "radiance")
-    rows.append((name, f"{light.white:.4g}", f"scene {what} shown as display white, from {light.white_from}", ""))
+    rows.append((name, f"{light.white:.4g}", f"scene {what} shown as display white", ""))
     rows.append(("white_spectrum", light.white_spectrum, "light of the scene's white", ""))
     rows.append(("integration_s", light.exposure, "exposure time: shortest to longest frame", ""))
     return rows

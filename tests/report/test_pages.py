@@ -165,7 +165,7 @@ def test_pages_fit_screens(
         ("run", range(2, 5), ["not converged", "10.6 µm pixels"]),
         # The style is the same.
         pytest.param("compare", range(3, 9), ["quiet is better than noisy_one", "64 × 48"], marks=pytest.mark.slow),
-        pytest.param("study", range(5, 12), [TITLE, "smallest, 5.30 µm", "largest, 15.00 µm"], marks=pytest.mark.slow),
+        pytest.param("study", range(5, 12), [TITLE, "smallest, 5.3 µm", "largest, 15 µm"], marks=pytest.mark.slow),
     ],
 )
 def test_page_prints(name: str, pages: range, texts: list[str], folders: dict[str, Path], tmp_path: Path) -> None:
@@ -195,13 +195,11 @@ def test_run_page_matches_score_json(ran: Path) -> None:
         assert f"<td>{float(f'{score[name]:.4g}'):.15g}</td>" in page, name  # without an exponent
     distance_mm = 23 * 25.4 / 96 / np.tan(np.radians(1))  # 23 dots a degree, 96 an inch
     for words in (
-        "256 × 256 of 10.6 µm (0.35um) on 2.714 × 2.714 mm",
+        "2.714 × 2.714 mm, 0.35um",
         "3.86 mm f/4",
         f"exposed for {1e3 * score['integration_s']:.3g} ms",
-        "display white is 1000 cd/m² in the scene; exposed for",
-        '"row">scene.white_cd_per_m2</th><td>1000</td><td>scene luminance shown as display white</td>',
-        '<th scope="row">film</th><td>128 × 128</td>',
-        "its mean is 95 % of the full well",  # as the automatic exposure is asked to
+        '"row">white_cd_per_m2</th><td>1000</td>',
+        "film of 128 × 128 samples (set by --resolution)",
         "MTF at 33.3 lp/mm, the highest frequency of the chart: lens</th><td>0.9",  # tests/studies/test_paper.py
         f"view it at 100 % zoom, at a distance where 23 dots span a degree ({distance_mm:.0f} mm away where a screen has 96 dots",
         "The ideal image on the left, the sensor's picture on the right:",

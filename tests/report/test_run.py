@@ -389,7 +389,7 @@ def test_run_page_foreign_picture_and_data_sheet(tmp_path: Path) -> None:
     assert "<h1>mine with 1.5 µm pixels</h1>" in page
     assert ">read from mine.npz<" in page
     assert str(tmp_path) not in page
-    assert "(data sheet)" in page
+    assert "mm, data sheet<" in page
     assert "Noise and non-uniformities that the data sheet does not state are zero." in page
     rows = set(re.findall(r'<tr><th scope="row">([^<]+)</th>', page))
     assert {"pixel.full_well_e", "pixel.technology"} <= rows
