@@ -19,7 +19,7 @@ from helpers.sheets import two_sheets
 from helpers.tiny import FINE, tiny
 
 import pixsim
-from pixsim.base.digits import difference_cells, within_error
+from pixsim.base.digits import percent, within_error
 from pixsim.report.curve import optimum_line
 from pixsim.report.lens import FIGURES
 from pixsim.report.run import FILES
@@ -238,7 +238,7 @@ def test_dry_run_foresees_the_least_error_of_a_coarse_film(ran: Path) -> None:
     score = json.loads((ran / "score.json").read_text(encoding="utf-8"))
     share, measured = outline["errors"]["film_share"], score["film"]["delta_e"] / score["mean_delta_e"]
     assert 0.02 < share < 1.02 * measured, "2 % between the means of two sensors"
-    assert f"film: at least {100 * share:.2g} % of mean ΔE" in done(f"{RUN} {ran} --dry-run")
+    assert f"of the film alone, at least {percent(share)} of mean ΔE" in done(f"{RUN} {ran} --dry-run")
 
 
 # --- a study ------------------------------------------------------------------------------------------------------------

@@ -219,7 +219,7 @@ def test_lightness_is_that_of_cie_and_of_the_primary_with_most_contrast() -> Non
 def test_chart_with_contrast_has_no_cause() -> None:
     score = pixsim.evaluate(light(CHECKS), CAMERA, Pixel.model_validate(SILICON), display=DISPLAY)
     assert score.causes == ()
-    assert f"ΔE {score.mean_delta_e:.3f}, 5 µm" in repr(score)
+    assert f"ΔE {estimate(score.mean_delta_e)}, 5 µm" in repr(score)
 
 
 # --- frames that tell nothing ---
@@ -388,7 +388,7 @@ def test_run_names_the_cause_in_its_headline() -> None:
         score = result.as_dict()
     first = score["causes"][0]
     assert first["words"].endswith("of a step of the ADC above black")
-    assert line.startswith(f"mean ΔE {score['mean_delta_e']:.3f} ({first['words']}) ")
+    assert line.startswith(f"mean ΔE {estimate(score['mean_delta_e'])} ({first['words']})")
     assert second.strip() == score["notes"][0]["text"] == f"{first['words']}: {first['hint']}"
     assert "--pixel.bits" in first["hint"]
 
