@@ -26,7 +26,6 @@ from pixsim.base.files import (
 )
 from pixsim.base.mapped import update_with_array
 from pixsim.base.notes import Note
-from pixsim.light.spectral import SpectralImage
 from pixsim.show.document import Document
 from pixsim.show.pages import Figures
 from pixsim.studies.result import StudyResult
@@ -91,13 +90,13 @@ def _as_json(value: object) -> object:
 
     Raises TypeError for a value of another kind: what it holds would not be compared.
     """
+    if callable(digest_of_value := getattr(value, "digest", None)):  # of a SpectralImage or a Metric
+        return digest_of_value()
     match value:
         case np.ndarray():
             digest = hashlib.blake2b(digest_size=16)
             update_with_array(digest, value)
             return digest.hexdigest()
-        case SpectralImage():
-            return value.digest()
         case BaseModel():
             return [type(value).__name__, dict(value), sorted(value.model_fields_set)]
         case Mapping():

@@ -366,7 +366,7 @@ def facts(result: RunResult) -> Iterator[Block]:
     for metric in metrics_named(result.settings.metrics)[1:]:
         yield Fact(plain_text(metric_text(result, metric)))
     if result.interval_delta_e is not None:
-        words = f"{result.delta_e.size} sensors"
+        words = f"{result.delta_e.size} sensors{'' if result.is_spread else ' at one registration'}"
         if judged_by_delta_e(result.settings):
             words += f", with a mean ΔE of {span(estimate(result.delta_e.min()), estimate(result.delta_e.max()))}"
         yield Fact(f"{words}; pictures and frames are of the first")

@@ -19,7 +19,7 @@ from helpers.sheets import two_sheets
 from helpers.tiny import FINE, tiny
 
 import pixsim
-from pixsim.base.digits import percent, within_error
+from pixsim.base.digits import difference_cells, percent, within_error
 from pixsim.report.curve import optimum_line
 from pixsim.report.lens import FIGURES
 from pixsim.report.run import FILES

@@ -17,7 +17,7 @@ from scipy import stats
 
 import pixsim
 from pixsim.base.caller import command_line
-from pixsim.base.digits import estimate, within_error
+from pixsim.base.digits import estimate
 from pixsim.base.files import PROVENANCE
 from pixsim.base.schema import SCHEMA
 from pixsim.report.run import run_document, shown_mean_of
@@ -118,14 +118,14 @@ def test_registrations_of_repeats_are_spread_from_the_centred_one(pitch_um: floa
     ("pixel", "display"), [({"registration": [0.2, 0.7]}, {}), ({}, {"raster": "one_to_one"})], ids=["stated", "one to one"]
 )
 def test_repeats_of_one_registration_are_those_of_one_chain(pixel: dict[str, Any], display: dict[str, Any]) -> None:
-    """Where the pixels of all repeats lie at one place, the answer says that its interval is of this registration."""
+    """Where the pixels of all repeats lie at one place, the answer says so, since its interval holds for that one."""
     settings = SMALL | {"pixel": SMALL["pixel"] | pixel, "display": SMALL["display"] | display}
     several = pixsim.run("csf", variant="scalar_spectral", repeats=3, **settings)
     alone = [several.score.mean_delta_e, *(several.chain.simulate("evaluate", 3, number).mean_delta_e for number in (1, 2))]
     np.testing.assert_array_equal(several.delta_e, alone)
     assert not several.is_spread
     (line,) = [text for text in text_of(run_document(several)).splitlines() if text.startswith("3 sensors")]
-    assert "95 % interval of their mean of this registration " in line
+    assert line.startswith("3 sensors at one registration")
 
 
 def test_interval_is_that_of_student(many: RunResult) -> None:
@@ -156,15 +156,15 @@ def test_repeats_are_in_all_outputs(made: RunResult, tmp_path: Path) -> None:
     assert score["repeats"] == len(score["delta_e"]) == 3
     assert low < score["sensors_mean_delta_e"] == np.mean(score["delta_e"]) < high
     assert (tmp_path / "out/raw_002.npz").is_file()
-    ends = " to ".join(within_error(end, (high - low) / 2) for end in (low, high))
-    line = f"95 % interval of their mean {ends}; pictures and frames are of the first"
+    ends = " to ".join(estimate(end) for end in (min(score["delta_e"]), max(score["delta_e"])))
+    line = f"3 sensors, with a mean ΔE of {ends}; pictures and frames are of the first"
     assert line in (tmp_path / "out/report.html").read_text(encoding="utf-8")
     settings = (tmp_path / "out/settings.toml").read_text(encoding="utf-8")
     assert "--repeats 3 --frames 2" in settings.splitlines()[1]
     lines = command(f"{LINE} --repeats 3 --frames 2 --raw npz --out {tmp_path / 'out'}")[1].splitlines()
     assert "(95 % and film), not converged" in lines[0]
     assert any(line in each for each in lines)
-    assert "; 3 sensors" in command(f"{LINE} --repeats 3 --dry-run")[1]
+    assert ", 3 sensors of each" in command(f"{LINE} --repeats 3 --dry-run")[1]
 
 
 @pytest.mark.parametrize(("tolerance_delta_e", "across"), [(1.0, 256), (1e-4, 512)])
