@@ -57,6 +57,15 @@ def number(value: float | None, digits: int = 2, least: float = 0.0) -> str:
     return "0" if abs(value) < least else rounded(value, digits)
 
 
+def amount(count: float, digits: int = 3) -> str:
+    """Return a number of things, in millions where it is large.
+
+    >>> amount(39200.0), amount(2.887e8), amount(1e9)
+    ('39200', '289 million', '1000 million')
+    """
+    return rounded(count, digits) if count < 1e6 else f"{rounded(count / 1e6, digits)} million"
+
+
 def percent(share: float, decimals: int = 0) -> str:
     """Return a share in per cent.
 

@@ -57,8 +57,8 @@ NOTES = {
     "lens_blur": NoteKind("the blur of a real lens has an error above its tolerance, in focus or out of it", "{words}", True),
     "focus": NoteKind(
         "nothing in view is in focus",
-        "nothing in view is in focus: the camera focuses at {focus_m:.4g} m, and the scene is at {place}, where points are discs "
-        "of {disc_um:.3g} µm or more, {disc_px:.3g} pixels of {pitch_um:g} µm. The focus is {setting} or, without it, the "
+        "nothing in view is in focus: the camera focuses at {focus_m} m, and the scene is at {place}, where points are discs "
+        "of {disc_um} µm or more, {disc_px} pixels of {pitch_um:g} µm. The focus is {setting} or, without it, the "
         "focus_distance of the scene, both in metres",
         True,
     ),

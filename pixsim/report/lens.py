@@ -1,4 +1,4 @@
-"""The page of a lens: its numbers as tables and sentences, and its figures with their data."""
+"""The page of a lens: its numbers as tables, and its figures with their data."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.digits import UNKNOWN, f_stop, number
+from pixsim.base.digits import f_stop, number
 from pixsim.base.errors import one_line
 from pixsim.base.schema import result_data
-from pixsim.base.tables import Column, plain, rows_csv
-from pixsim.measure.lens import MTF_LINES, LensData, cross_section
+from pixsim.base.tables import Column, plain, table_csv
+from pixsim.measure.lens import CUT_POINTS, MTF_LINES, LensData, cross_section
+from pixsim.report.panels import LEGEND_IN, MARKED_LINE, Line, Panel, draw_panels, legend_below, panels_of, rows_table
 from pixsim.show.document import Answer, Document, DocumentTable, Listed, Plot, Section, made_with
-from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, finish, new_figure
+from pixsim.show.figures import LOOKS, finish
 from pixsim.show.pages import Drawing, coarse_table, figure, figure_files
 from pixsim.show.presenter import Presenter
 
@@ -29,76 +30,38 @@ SHOWN_HALF_WIDTHS = 2.5  # rms radii of the largest spot, along half a side of t
 FIGURES = ("layout", "spots", "psf", "mtf", "mtf_over_field", "field_curvature", "illumination", "colour")
 FILES = ("report.html", "summary.json", *figure_files(FIGURES))
 
-
-WIDTH_IN = 8.6
-TICKS = 10  # at most, along the whole width
-# Beside the axes and between them there is room for the labels of six characters, such as -0.025, and the name of the axis.
-LEFT_IN, RIGHT_IN, BOTTOM_IN, TOP_IN, BETWEEN_IN, LEGEND_IN = 0.85, 0.2, 0.5, 0.28, 0.9, 0.35
-BETWEEN_SHARED_IN, TICKS_SHARED = 0.4, 4  # of panels that share their scales: labels at their ends do not meet
+ANGLE, HEIGHT = "field angle (degrees)", "image height (mm)"
+GLASS = {"facecolor": "#dfe9f2", "edgecolor": "0.35", "lw": 0.9}
 
 
-def panels_of(count: int, height_in: float, shared: bool = False, legend_below: bool = False) -> tuple[Figure, list[Axes]]:
-    """Return a figure and its axes in one row, at fixed places: computing them takes as long as to draw the figure.
-
-    shared : whether they share their scales, and the labels of y
-    """
-    figure = new_figure(WIDTH_IN, height_in)
-    figure.set_layout_engine(None)
-    row = figure.subplots(1, count, squeeze=False, sharex=shared, sharey=shared)[0]
-    between = BETWEEN_SHARED_IN if shared else BETWEEN_IN
-    panel_in = (WIDTH_IN - LEFT_IN - RIGHT_IN - (count - 1) * between) / count
-    below = BOTTOM_IN + (LEGEND_IN if legend_below else 0.0)
-    sides = {"left": LEFT_IN / WIDTH_IN, "right": 1 - RIGHT_IN / WIDTH_IN, "wspace": between / panel_in}
-    figure.subplots_adjust(bottom=below / height_in, top=1 - TOP_IN / height_in, **sides)
-    for axes in row:
-        axes.locator_params(nbins=TICKS_SHARED if shared else TICKS // 2 if count > 1 else TICKS)
-    return figure, list(row)
-
-
-def below(figure: Figure, axes: Axes, columns: int) -> None:
-    """Put the legend below the axes."""
-    figure.legend(
-        *axes.get_legend_handles_labels(), loc="lower center", ncols=columns, frameon=False, fontsize=8, handlelength=LEGEND_LINE
-    )
-
-
-@figure(
-    "layout",
-    "Layout with rays of three fields through the centre of the stop, its edges and halfway between. Light travels "
-    "to the right, to the image plane.",
-)
+@figure("layout", "Layout with rays of three fields, to the image plane.")
 def layout(data: LensData) -> Drawing:
-    """Draw the surfaces and rays of three fields in the y-z plane."""
+    """Draw the glasses, and rays of three fields, in the y-z plane."""
     cut = cross_section(data.lens)
-    figure, (axes,) = panels_of(1, 4.1, legend_below=True)
-    table: dict[str, list[float | str]] = {"field_deg": [], "stop_y": [], "z_mm": [], "y_mm": []}
-    table |= {"surface": [], "surface_z_mm": [], "surface_y_mm": []}
-    for index, ((z, y), is_glass) in enumerate(zip(cut.surfaces, cut.glass_behind, strict=True)):
-        if is_glass and index + 1 < len(cut.surfaces):
-            far_z, far_y = cut.surfaces[index + 1]
-            axes.fill(np.concatenate([z, far_z[::-1]]), np.concatenate([y, far_y[::-1]]), color="#dfe9f2", lw=0)
-            for end in (0, -1):
-                axes.plot([z[end], far_z[end]], [y[end], far_y[end]], color="0.35", lw=0.8)
-        if is_glass or (index > 0 and cut.glass_behind[index - 1]):
-            axes.plot(z, y, color="0.35", lw=0.9)
-            table["surface"] += [index + 1] * z.size
-            table["surface_z_mm"] += z.tolist()
-            table["surface_y_mm"] += y.tolist()
-    at, semi = cut.stop
-    for sign in (1, -1):
-        axes.plot([at, at], [sign * semi, sign * 1.35 * semi], color="black", lw=2.5, label="stop" if sign > 0 else None)
-    for (angle, rays), look in zip(cut.rays.items(), LOOKS, strict=False):
-        for index, (height, z, y) in enumerate(rays):
-            axes.plot(z, y, color=look.colour, lw=0.8, ls=look.dashes, label=None if index else f"{angle:.3g}°")
-            table["field_deg"] += [angle] * z.size
-            table["stop_y"] += [height] * z.size
-            table["z_mm"] += z.tolist()
-            table["y_mm"] += y.tolist()
-    image = max(float(np.abs(data.curves["image_height_mm"]).max()), semi)
-    axes.plot([cut.length_mm] * 2, [-1.05 * image, 1.05 * image], color="black", lw=1.2)
+    figure, (axes,) = panels_of(1, 4.1, legend_in=LEGEND_IN)
+    drawn = set()
+    for index, ((z, y), (far_z, far_y)) in enumerate(zip(cut.surfaces, cut.surfaces[1:], strict=False)):
+        if cut.glass_behind[index]:
+            axes.fill([*z, *far_z[::-1]], [*y, *far_y[::-1]], **GLASS)
+            drawn |= {index, index + 1}
+    surfaces = sorted(drawn)
+    table: dict[str, Array] = {"surface": np.repeat(np.array(surfaces, int) + 1, CUT_POINTS)}
+    table |= rows_table(("surface_z_mm", "surface_y_mm"), [cut.surfaces[index] for index in surfaces])
+
+    at, radius = cut.stop
+    axes.vlines([at, at], [radius, -1.35 * radius], [1.35 * radius, -radius], color="black", lw=2.5, label="stop")
+    rays = []
+    for (angle, of_field), look in zip(cut.rays.items(), LOOKS, strict=False):
+        for number_of_ray, (height, z, y) in enumerate(of_field):
+            axes.plot(z, y, lw=0.8, label=None if number_of_ray else f"{angle:.3g}°", **look.stroke)
+            rays.append((angle, height, z, y))
+    table |= rows_table(("field_deg", "stop_y", "z_mm", "y_mm"), rays)
+
+    image = 1.05 * max(float(np.abs(data.curves["image_height_mm"]).max()), radius)
+    axes.vlines(cut.length_mm, -image, image, color="black", lw=1.2)
     axes.set_aspect("equal", adjustable="datalim")
     finish(axes, "z (mm from the first surface)", "y (mm)", None)
-    below(figure, axes, len(cut.rays) + 1)
+    legend_below(figure, axes, len(cut.rays) + 1)
     return figure, table
 
 
@@ -106,182 +69,157 @@ def shown_fields(data: LensData) -> list[int]:
     return [index for index in SHOWN if index < data.field_deg.size]
 
 
-@figure(
-    "spots",
-    "Spots: where rays meet the image plane, from the chief ray of the primary wavelength; y points away from the "
-    "axis. The circle is the first dark ring of diffraction.",
-)
+def field_panels(data: LensData, height_in: float, legend_in: float = 0.0) -> tuple[Figure, dict[int, Axes]]:
+    """Return a figure and the axes of the image plane at some fields, by their numbers."""
+    fields = shown_fields(data)
+    figure, row = panels_of(len(fields), height_in, shared=True, legend_in=legend_in)
+    for axes, index in zip(row, fields, strict=True):
+        words = "no light" if data.dark[index] else f"rms {data.spots[index].rms_um:.3g} µm"
+        axes.set_title(f"{data.field_deg[index]:.3g}°: {words}", fontsize=9)
+        axes.set_xlabel("x (µm)")
+    row[0].set_ylabel("y (µm)")
+    return figure, dict(zip(fields, row, strict=True))
+
+
+@figure("spots", "Spots around the chief ray; y points away from the axis.")
 def spot_plate(data: LensData) -> Drawing:
-    """Draw the spots of some fields on one scale, with the diameter of the Airy disc."""
+    """Draw the spots of some fields on one scale, with the first dark ring of diffraction."""
     from matplotlib.patches import Circle
 
-    shown = shown_fields(data)
-    figure, panels = panels_of(len(shown), 2.9, shared=True, legend_below=True)
-    airy = data.airy_um
-    table: dict[str, list[float | str]] = {"field_deg": [], "wavelength_nm": [], "x_um": [], "y_um": []}
-    most = airy
-    for axes, index in zip(panels, shown, strict=True):
-        spot, angle = data.spots[index], data.field_deg[index]
+    figure, panels = field_panels(data, 2.9, LEGEND_IN)
+    rays = []
+    for index, axes in panels.items():
+        spot = data.spots[index]
         for nm, x, y, look in zip(data.wavelength_nm, spot.x_um, spot.y_um, (*LOOKS, *LOOKS), strict=False):
             axes.plot(x, y, look.marker, ms=2, color=look.colour, mew=0, label=f"{nm:.4g} nm")
-            table["field_deg"] += [float(angle)] * x.size
-            table["wavelength_nm"] += [float(nm)] * x.size
-            table["x_um"] += x.tolist()
-            table["y_um"] += y.tolist()
-            most = max(most, float(np.max(np.abs([x, y]), initial=0.0, where=np.isfinite([x, y]))))
-        axes.add_patch(Circle((0.0, 0.0), airy, fill=False, color="black", lw=0.9, label="Airy disc"))
-        rms = "no light" if data.dark[index] else f"rms {spot.rms_um:.3g} µm"
-        axes.set_title(f"{angle:.3g}°: {rms}", fontsize=9)
+            rays.append((data.field_deg[index], nm, x, y))
+        axes.add_patch(Circle((0.0, 0.0), data.airy_um, fill=False, color="black", lw=0.9, label="Airy disc"))
         axes.set_aspect("equal")
         axes.grid(alpha=0.25)
-        axes.set_xlabel("x (µm)")
-    panels[0].set(ylabel="y (µm)", xlim=(-1.1 * most, 1.1 * most), ylim=(-1.1 * most, 1.1 * most))
-    below(figure, panels[0], 6)
+
+    table = rows_table(("field_deg", "wavelength_nm", "x_um", "y_um"), rays)
+    reach = 1.1 * float(np.fmax.reduce(np.abs([*table["x_um"], *table["y_um"]]), initial=data.airy_um))
+    panels[0].set(xlim=(-reach, reach), ylim=(-reach, reach))
+    legend_below(figure, panels[0], 6)
     return figure, table
 
 
-@figure(
-    "psf",
-    "Point spread functions of the wavelengths together: the square root of the irradiance over its maximum. The "
-    "table has means over blocks.",
-)
+@figure("psf", "Point spread functions: the square root of the irradiance over its maximum. The table has block means.")
 def psf_plate(data: LensData) -> Drawing:
     """Show the point spread functions of some fields on one scale."""
-    shown = shown_fields(data)
-    largest = max(data.spots[index].rms_um for index in shown if not data.dark[index])
-    half = max(SHOWN_HALF_WIDTHS * largest, 4e-3 * data.lens.primary_nm * data.lens.working_f_number)
-    figure, panels = panels_of(len(shown), 2.7, shared=True)
-    table: dict[str, Column] = {}
-    pictures = []
-    for index in shown:
-        psf = np.maximum(data.psfs[index], 0.0)
-        reach, middle = min(math.ceil(half / data.psf_pitch_um), len(psf) // 2 - 1), len(psf) // 2
-        pictures.append(psf[middle - reach : middle + reach + 1, middle - reach : middle + reach + 1])
-    reach = min(len(picture) // 2 for picture in pictures)
+    figure, panels = field_panels(data, 2.7)
+    largest_um = max(data.spots[index].rms_um for index in panels if not data.dark[index])
+    half_um = max(SHOWN_HALF_WIDTHS * largest_um, 4e-3 * data.lens.primary_nm * data.lens.working_f_number)
+    reach = min(math.ceil(half_um / data.psf_pitch_um), *(len(data.psfs[index]) // 2 - 1 for index in panels))
     side = (2 * reach + 1) * data.psf_pitch_um / 2
-    for axes, index, picture in zip(panels, shown, pictures, strict=True):
-        middle = len(picture) // 2
-        cut = picture[middle - reach : middle + reach + 1, middle - reach : middle + reach + 1]
-        cut = cut / max(float(cut.max()), np.finfo(float).tiny)
-        axes.imshow(np.sqrt(cut), cmap="viridis", vmin=0, vmax=1, origin="lower", extent=(-side, side, -side, side))
-        axes.set_title(f"{data.field_deg[index]:.3g}°{': no light' * bool(data.dark[index])}", fontsize=9)
-        axes.set_xlabel("x (µm)")
-        coarse = coarse_table(cut, f"psf_{data.field_deg[index]:.4g}_deg")
-        table |= coarse
-    panels[0].set_ylabel("y (µm)")
+    table: dict[str, Column] = {}
+    for index, axes in panels.items():
+        middle = len(data.psfs[index]) // 2
+        inside = slice(middle - reach, middle + reach + 1)
+        psf = np.maximum(data.psfs[index][inside, inside], 0.0)
+        psf = psf / max(float(psf.max()), np.finfo(float).tiny)
+        axes.imshow(np.sqrt(psf), cmap="viridis", vmin=0, vmax=1, origin="lower", extent=(-side, side, -side, side))
+        table |= coarse_table(psf, f"psf_{data.field_deg[index]:.4g}_deg")
     return figure, table
 
 
-@figure("mtf", "MTF of the wavelengths together: tangential (lines across the radius) and sagittal (lines along it).")
+def mtf_lines(table: dict[str, Array], x: str, curves: Sequence[tuple[str, str, Array]]) -> list[Line]:
+    """Return the lines of tangential and sagittal MTFs, and add them to a table.
+
+    curves : words for the legend, the end of the columns' names, and both MTFs, (2, n), of each
+    """
+    lines = []
+    for (words, end, both), look in zip(curves, LOOKS, strict=False):
+        for name, mtf, dashes in zip(MTF_LINES, both, ("-", (0, (4, 2))), strict=True):
+            table[f"{name}_{end}"] = mtf
+            lines.append(Line(x, f"{name}_{end}", f"{words} {name}", {**look.line, "ls": dashes}))
+    return lines
+
+
+@figure("mtf", "MTF: tangential (lines across the radius) and sagittal (lines along it).")
 def mtf_plate(data: LensData) -> Drawing:
     """Plot the MTF of some fields against frequency, and the limit of diffraction."""
-    figure, (axes,) = panels_of(1, 4.4, legend_below=True)
-    figure.subplots_adjust(bottom=0.9 / 4.4 + 0.04)
-    frequency = data.frequency_lp_per_mm
-    table: dict[str, Column] = {"frequency_lp_per_mm": frequency.tolist()}
-    for index, look in zip(shown_fields(data), LOOKS, strict=False):
-        angle = data.field_deg[index]
-        for kind, mtf, dashes in zip(MTF_LINES, data.mtf[index], ("-", (0, (4, 2))), strict=True):
-            axes.plot(
-                frequency, mtf, color=look.colour, ls=dashes, marker=look.marker, markevery=10, ms=4, lw=1.2,
-                label=f"{angle:.3g}° {kind}",
-            )  # fmt: skip
-            table[f"{kind}_{angle:.4g}_deg"] = mtf.tolist()
-    limit = data.diffraction_mtf
-    axes.plot(frequency, limit, color="0.5", lw=1, ls=":", label="diffraction, on the axis")
-    table["diffraction"] = limit.tolist()
-    if data.pitch_um is not None:
-        axes.axvline(500 / data.pitch_um, color="0.5", lw=0.8, ls=(0, (6, 2, 1, 2)), label=f"Nyquist of {data.pitch_um:g} µm")
-    axes.set(xlim=(0, frequency[-1]), ylim=(0, 1.02))
-    finish(axes, "frequency (line pairs/mm)", "MTF", None)
-    below(figure, axes, 5)
-    return figure, table
+    table = {"frequency_lp_per_mm": data.frequency_lp_per_mm, "diffraction": data.diffraction_mtf}
+    angles = {index: data.field_deg[index] for index in shown_fields(data)}
+    curves = [(f"{angle:.3g}°", f"{angle:.4g}_deg", data.mtf[index]) for index, angle in angles.items()]
+    lines = mtf_lines(table, "frequency_lp_per_mm", curves)
+    lines.append(Line("frequency_lp_per_mm", "diffraction", "diffraction, on the axis"))
+    nyquist = {} if data.pitch_um is None else {f"Nyquist of {data.pitch_um:g} µm": 500 / data.pitch_um}
+    limits = {"xlim": (0, data.frequency_lp_per_mm[-1]), "ylim": (0, 1.02)}
+    return draw_panels(table, [Panel("frequency (line pairs/mm)", "MTF", lines, nyquist, limits)], legend_columns=5)
 
 
-@figure("mtf_over_field", "MTF against image height. Solid: tangential; dashed: sagittal.")
+@figure("mtf_over_field", "MTF against image height.")
 def mtf_over_field(data: LensData) -> Drawing:
-    """Plot the MTF at the asked frequencies against image height."""
-    figure, (axes,) = panels_of(1, 4.0, legend_below=True)
-    figure.subplots_adjust(bottom=0.9 / 4.0 + 0.04)
-    height = data.height_mm
-    table: dict[str, Column] = {"field_deg": data.field_deg.tolist(), "image_height_mm": height.tolist()}
-    for frequency, look in zip(data.asked_lp_per_mm, LOOKS, strict=False):
-        tangential, sagittal = data.mtf_at(frequency).T
-        nyquist = data.pitch_um is not None and math.isclose(frequency, 500 / data.pitch_um)
-        words = f"{frequency:.4g} lp/mm{' (Nyquist)' if nyquist else ''}"
-        axes.plot(height, tangential, color=look.colour, ls="-", marker=look.marker, ms=4, lw=1.2, label=f"{words}, tangential")
-        axes.plot(
-            height, sagittal, color=look.colour, ls=(0, (4, 2)), marker=look.marker, ms=4, lw=1.2, label="sagittal", mfc="white"
-        )
-        table[f"tangential_{frequency:.4g}"] = tangential.tolist()
-        table[f"sagittal_{frequency:.4g}"] = sagittal.tolist()
-    axes.set_ylim(0, 1.02)
-    finish(axes, "image height (mm)", "MTF", None)
-    below(figure, axes, len(data.asked_lp_per_mm))
-    return figure, table
+    """Plot the MTF at the frequencies of the tables against image height."""
+    table = {"field_deg": data.field_deg, "image_height_mm": data.height_mm}
+    curves = [(f"{frequency:.4g} lp/mm", f"{frequency:.4g}", data.mtf_at(frequency).T) for frequency in data.asked_lp_per_mm]
+    lines = mtf_lines(table, "image_height_mm", curves)
+    return draw_panels(table, [Panel(HEIGHT, "MTF", lines, axes={"ylim": (0, 1.02)})], legend_columns=len(curves))
 
 
-def curve_figure(
-    panels: Sequence[tuple[str, Sequence[tuple[str, Array, str]]]], across: tuple[str, Array]
-) -> tuple[Figure, list[Axes]]:
-    """Draw panels side by side: (label of y, [(name, values, style)]) against one quantity."""
-    figure, axes_row = panels_of(len(panels), 3.2)
-    for axes, (label, lines) in zip(axes_row, panels, strict=True):
-        for (name, values, style), look in zip(lines, LOOKS, strict=False):
-            axes.plot(across[1], values, color=look.colour, ls=style, marker=look.marker, markevery=8, ms=4, label=name or None)
-        axes.axhline(0.0, color="0.6", lw=0.7)
-        finish(axes, across[0], label, handlelength=LEGEND_LINE)
-    return figure, axes_row
+CURVES = {
+    "field_curvature": (
+        Panel(
+            ANGLE,
+            "focus behind the image plane (mm)",
+            (
+                Line("field_deg", "tangential_focus_mm", "tangential", MARKED_LINE),
+                Line("field_deg", "sagittal_focus_mm", "sagittal", MARKED_LINE),
+            ),
+        ),
+        Panel(ANGLE, "distortion (%)", (Line("field_deg", "distortion_percent"),)),
+    ),
+    "illumination": (
+        Panel(
+            HEIGHT,
+            "relative illumination",
+            (
+                Line("image_height_mm", "relative_illumination", "traced", MARKED_LINE),
+                Line("image_height_mm", "cos4", "cos⁴ of the field angle", MARKED_LINE),
+            ),
+            axes={"ylim": (0, 1.05)},
+        ),
+        Panel(HEIGHT, "chief ray angle (degrees)", (Line("image_height_mm", "chief_ray_angle_deg"),)),
+    ),
+    "colour": (
+        Panel(ANGLE, "lateral colour (µm)", (Line("field_deg", "lateral_colour_um"),)),
+        Panel("wavelength (nm)", "shift of the paraxial focus (µm)", (Line("wavelength_nm", "focus_um"),)),
+    ),
+}
 
 
-@figure(
-    "field_curvature",
-    "Field curvature: foci of rays near the chief ray. Distortion: height of the chief ray against the tangent of the field "
-    "angle times the scale of a very small image.",
-)
+def curve_drawing(data: LensData, name: str) -> Drawing:
+    """Draw two panels of curves over the field or the wavelengths."""
+    nm, focus_um = data.axial_colour()
+    curves = {
+        "field_deg": data.curve_deg,
+        **data.curves,
+        "distortion_percent": 100 * data.curves["distortion"],
+        "cos4": np.cos(np.radians(data.curve_deg)) ** 4,
+        "wavelength_nm": nm,
+        "focus_um": focus_um,
+    }
+    columns = ["field_deg", *(column for panel in CURVES[name] for line in panel.lines for column in line[:2])]
+    return draw_panels({column: curves[column] for column in columns}, CURVES[name], 3.2)
+
+
+@figure("field_curvature", "Foci of rays near the chief ray; distortion relative to a very small image.")
 def curvature_plate(data: LensData) -> Drawing:
     """Plot the tangential and sagittal foci and the distortion against the field angle."""
-    c = data.curves
-    percent = 100 * c["distortion"]
-    lines = [("tangential", c["tangential_focus_mm"], "-"), ("sagittal", c["sagittal_focus_mm"], "--")]
-    panels = [("focus behind the image plane (mm)", lines), ("distortion (%)", [("", percent, "-")])]
-    figure, _ = curve_figure(panels, ("field angle (degrees)", data.curve_deg))
-    foci = {name: c[name] for name in ("tangential_focus_mm", "sagittal_focus_mm")}
-    table = {"field_deg": data.curve_deg, **foci, "distortion_percent": percent}
-    return figure, table
+    return curve_drawing(data, "field_curvature")
 
 
 @figure("illumination", "Relative illumination, and chief ray angle in image space.")
 def illumination_plate(data: LensData) -> Drawing:
     """Plot the relative illumination and the chief ray angle against image height."""
-    c = data.curves
-    fourth = np.cos(np.radians(data.curve_deg)) ** 4
-    light = [("traced", c["relative_illumination"], "-"), ("cos⁴ of the field angle", fourth, "--")]
-    panels = [("relative illumination", light), ("chief ray angle (degrees)", [("", c["chief_ray_angle_deg"], "-")])]
-    figure, row = curve_figure(panels, ("image height (mm)", c["image_height_mm"]))
-    row[0].set_ylim(0, 1.05)
-    traced = {name: c[name] for name in ("image_height_mm", "relative_illumination", "chief_ray_angle_deg")}
-    table = {"field_deg": data.curve_deg, **traced, "cos4": fourth}
-    return figure, table
+    return curve_drawing(data, "illumination")
 
 
-@figure("colour", "Lateral colour of chief rays; axial colour: the paraxial focus of an object at infinity.")
+@figure("colour", "Heights of chief rays, longest minus shortest wavelength; paraxial focus from that of the primary one.")
 def colour_plate(data: LensData) -> Drawing:
     """Plot the lateral colour against the field, and the paraxial focus against wavelength."""
-    low, high = data.wavelength_nm.min(), data.wavelength_nm.max()
-    nm, focus_um = data.axial_colour()
-    figure, (left, right) = panels_of(2, 3.2)
-    left.plot(data.curve_deg, data.curves["lateral_colour_um"], color=COLOURS[0], marker="o", markevery=8, ms=4)
-    right.plot(nm, focus_um, color=COLOURS[0], marker="o", markevery=8, ms=4)
-    finish(left, "field angle (degrees)", f"height at {high:.4g} minus {low:.4g} nm (µm)")
-    finish(right, "wavelength (nm)", f"paraxial focus from that at {data.lens.primary_nm:.4g} nm (µm)")
-    columns = {
-        "field_deg": data.curve_deg,
-        "lateral_colour_um": data.curves["lateral_colour_um"],
-        "wavelength_nm": nm,
-        "focus_um": focus_um,
-    }
-    return figure, columns
+    return curve_drawing(data, "colour")
 
 
 # The document ----------------------------------------------------------------------------------------------------------------
@@ -291,18 +229,13 @@ UNBROKEN = str.maketrans(" -", "\u00a0\u2011")  # a number and its name stay on 
 
 def lens_document(data: LensData) -> Document:
     """Return the page of a lens: its layout, first-order data and fields, further figures, and its prescription."""
-    lens, prescription = data.lens, data.lens.prescription
+    prescription = data.lens.prescription
     over_field = (mtf_over_field, curvature_plate, illumination_plate) if data.field_deg.size > 1 else ()
     figures = spot_plate, psf_plate, mtf_plate, *over_field, colour_plate
-    wavelengths = ", ".join(f"{nm:.5g}" for nm in data.wavelength_nm)
-    limits = "rays times the limit of diffraction, since aberrations are large" if data.geometric else "waves"
-    traced = f"Spots, PSFs and MTFs are of {wavelengths} nm with equal weights, all else of {lens.primary_nm:.5g} nm."
-    computed = f"{traced} PSFs and MTFs are those of {limits}. The rms wavefront is without tilt."
-    source = f"Source: {prescription.source or 'not stated'}. Radius of the stop: {lens.stop_semi_diameter_mm:.6g} mm."
+    source = f"Source: {prescription.source or 'not stated'}. Radius of the stop: {data.lens.stop_semi_diameter_mm:.5g} mm."
     glasses = (
         *(f"glass {glass.name}: {glass.source}" for glass in prescription.glasses),
         f"uncoated surfaces would reflect {data.loss_percent:.3g} % of the light on the axis; camera.transmittance is what counts",
-        *ghost_words(data),
     )
     return Document(
         command="lens",
@@ -313,7 +246,7 @@ def lens_document(data: LensData) -> Document:
         lead=(Plot(partial(layout, data)), *data.notes),
         sections=(
             Section("first-order", "First-order data", (first_order_table(data),), brief=True),
-            Section("fields", "Fields", (field_table(data), computed), brief=True),
+            Section("fields", "Fields", (field_table(data),), brief=True),
             Section("figures", "Figures", [Plot(partial(draw, data)) for draw in figures]),
             Section("glasses", "Glasses", (Listed(glasses),), folded=True, brief=True),
             Section("reflections", "Reflected twice", (ghost_table(data),) if data.ghosts else (), folded=True),
@@ -322,62 +255,61 @@ def lens_document(data: LensData) -> Document:
     )
 
 
+LENS_NUMBERS = ("primary_nm", "max_field_deg", "object_distance_mm", "stop_semi_diameter_mm", "working_f_number")
+
+
 def lens_values(data: LensData) -> dict[str, Any]:
     """Return summary.json."""
-    lens = data.lens
-    first = [{"wavelength_nm": float(nm), **vars(order)} for nm, order in zip(data.wavelength_nm, data.first, strict=True)]
+    lens, prescription = data.lens, data.lens.prescription
     content = {
-        "name": lens.prescription.name,
-        "title": lens.prescription.title,
-        "source": lens.prescription.source,
-        "primary_nm": lens.primary_nm,
-        "max_field_deg": lens.max_field_deg,
-        "object_distance_mm": lens.object_distance_mm if math.isfinite(lens.object_distance_mm) else None,
-        "image_distance_mm": lens.prescription.surfaces[-1].thickness_mm,
-        "stop_semi_diameter_mm": lens.stop_semi_diameter_mm,
-        "working_f_number": lens.working_f_number,
+        **{name: getattr(prescription, name) for name in ("name", "title", "source")},
+        **{name: getattr(lens, name) for name in LENS_NUMBERS},
+        "image_distance_mm": prescription.surfaces[-1].thickness_mm,
         "fresnel_transmittance": lens.fresnel_transmittance(lens.primary_nm),
         "reflectance": data.reflectance,
         "reflected_twice": [plain(vars(ghost)) for ghost in data.ghosts],
         "pitch_um": data.pitch_um,
         "mtf_of": "rays times the limit of diffraction" if data.geometric else "waves",
-        "first_order": [plain(order) for order in first],
-        "glasses": [{"name": glass.name, "source": glass.source} for glass in lens.prescription.glasses],
-        "fields": [
-            plain(field) | {"mtf": [{"lp_per_mm": frequency} | plain(mtf) for frequency, mtf in mtfs.items()]}
-            for field, mtfs in zip(field_values(data), field_mtfs(data), strict=True)
+        "first_order": [
+            plain({"wavelength_nm": nm, **vars(order)}) for nm, order in zip(data.wavelength_nm.tolist(), data.first, strict=True)
         ],
+        "glasses": [{"name": glass.name, "source": glass.source} for glass in prescription.glasses],
+        "fields": field_values(data),
     }
-    settings = {"lens": {"file": lens.prescription.name, "primary_nm": lens.primary_nm}, "pixel": {"pitch_um": data.pitch_um}}
-    return result_data(content, settings=settings, notes=data.notes)
+    settings = {"lens": {"file": prescription.name, "primary_nm": lens.primary_nm}, "pixel": {"pitch_um": data.pitch_um}}
+    return result_data(plain(content), settings=settings, notes=data.notes)
 
 
-def field_values(data: LensData) -> list[dict[str, float]]:
-    """Return what rays and waves of each field do, by names with units."""
-    values = zip(data.field_deg.tolist(), data.height_mm.tolist(), data.spots, data.rms_waves.tolist(), strict=True)
-    return [
-        {"field_deg": angle, "height_mm": height, "rms_spot_um": spot.rms_um, "rms_wavefront_waves": rms}
-        | {name: float(np.interp(angle, data.curve_deg, curve)) for name, curve in data.curves.items()}
-        for angle, height, spot, rms in values
-    ]
+def field_columns(data: LensData) -> dict[str, Array]:
+    """Return what rays and waves of the fields do, by names with units."""
+    columns = {
+        "field_deg": data.field_deg,
+        "height_mm": data.height_mm,
+        "rms_spot_um": np.array([spot.rms_um for spot in data.spots]),
+        "rms_wavefront_waves": data.rms_waves,
+    }
+    return columns | {name: np.interp(data.field_deg, data.curve_deg, curve) for name, curve in data.curves.items()}
 
 
-def field_mtfs(data: LensData) -> list[dict[float, dict[str, float]]]:
-    """Return the tangential and sagittal MTF of each field by frequency in lp/mm."""
-    mtfs = {frequency: data.mtf_at(frequency) for frequency in data.asked_lp_per_mm}
-    return [
-        {frequency: dict(zip(MTF_LINES, mtf[field].tolist(), strict=True)) for frequency, mtf in mtfs.items()}
-        for field in range(data.field_deg.size)
-    ]
+def field_values(data: LensData) -> list[dict[str, Any]]:
+    """Return a row for each field, with its MTF at the frequencies of the tables."""
+    columns = field_columns(data)
+    fields = [dict(zip(columns, row, strict=True)) for row in np.column_stack([*columns.values()]).tolist()]
+    for field in fields:
+        field["mtf"] = []
+    for frequency in data.asked_lp_per_mm:
+        for field, both in zip(fields, data.mtf_at(frequency).tolist(), strict=True):
+            field["mtf"].append({"lp_per_mm": frequency} | plain(dict(zip(MTF_LINES, both, strict=True))))
+    return [plain(field) for field in fields]
 
 
 def lens_csv(data: LensData) -> str:
     """Return a row for each field as CSV."""
-    rows = [
-        field | {f"mtf_{line}_{frequency:.4g}_lp_per_mm": mtf[line] for frequency, mtf in mtfs.items() for line in MTF_LINES}
-        for field, mtfs in zip(field_values(data), field_mtfs(data), strict=True)
-    ]
-    return rows_csv(rows)
+    columns = field_columns(data)
+    for frequency in data.asked_lp_per_mm:
+        for name, mtf in zip(MTF_LINES, data.mtf_at(frequency).T, strict=True):
+            columns[f"mtf_{name}_{frequency:.4g}_lp_per_mm"] = mtf
+    return table_csv({name: values.tolist() for name, values in columns.items()})
 
 
 def title_of(data: LensData) -> str:
@@ -390,78 +322,73 @@ def title_of(data: LensData) -> str:
     )
 
 
+# Digits that tell wavelengths apart; rays are exact.
+FIRST_ORDER_DIGITS = 5
+FIRST_ORDER = {
+    "focal_length_mm": "focal length (mm)",
+    "back_focal_length_mm": "back focal length (mm)",
+    "entrance_pupil_diameter_mm": "entrance pupil, diameter (mm)",
+    "entrance_pupil_from_first_vertex_mm": "entrance pupil, behind the first surface (mm)",
+    "exit_pupil_diameter_mm": "exit pupil, diameter (mm)",
+    "exit_pupil_from_image_mm": "exit pupil, behind the image plane (mm)",
+    "f_number": "f-number",
+}
+
+
 def first_order_table(data: LensData) -> DocumentTable:
     """Return the first-order data, with a column for each wavelength."""
-    names = {
-        "focal_length_mm": "focal length (mm)",
-        "back_focal_length_mm": "back focal length (mm)",
-        "entrance_pupil_diameter_mm": "entrance pupil, diameter (mm)",
-        "entrance_pupil_from_first_vertex_mm": "entrance pupil, behind the first surface (mm)",
-        "exit_pupil_diameter_mm": "exit pupil, diameter (mm)",
-        "exit_pupil_from_image_mm": "exit pupil, behind the image plane (mm)",
-        "f_number": "f-number",
-    }
     head = ("", *(f"{nm:.5g} nm" for nm in data.wavelength_nm))
-    rows = tuple((words, *(f"{getattr(each, name):.6g}" for each in data.first)) for name, words in names.items())
+    rows = [
+        (words, *(number(getattr(order, name), FIRST_ORDER_DIGITS) for order in data.first)) for name, words in FIRST_ORDER.items()
+    ]
     return DocumentTable("first-order data", head, rows, "Paraxial, with the object at infinity")
 
 
+FIELD_DIGITS = 3
+FIELD_HEADS = {
+    "field_deg": "field\n°",
+    "height_mm": "height\nmm",
+    "chief_ray_angle_deg": "chief ray\n°",
+    "distortion_percent": "distortion\n%",
+    "relative_illumination": "illumination\n",
+    "rms_spot_um": "spot\nµm rms",
+    "rms_wavefront_waves": "wavefront\nwaves rms",
+}
+
+
 def field_table(data: LensData) -> DocumentTable:
-    """Return what rays and waves of each field do."""
-    units = {"field": "°", "height": "mm", "chief ray": "°", "distortion": "%", "illumination": "", "spot": "µm rms",
-             "wavefront": "waves rms"} | {f"MTF {f:.4g}/mm": "t / s" for f in data.asked_lp_per_mm}  # fmt: skip
-    rows = [
-        (
-            f"{field['field_deg']:.4g}",
-            f"{field['height_mm']:.4g}",
-            f"{field['chief_ray_angle_deg']:.4g}",
-            f"{100 * field['distortion']:.3g}",
-            f"{field['relative_illumination']:.3f}",
-            *(number(field[name], 3) for name in ("rms_spot_um", "rms_wavefront_waves")),
-            *(UNKNOWN if dark else f"{mtf['tangential']:.2f} / {mtf['sagittal']:.2f}" for mtf in mtfs.values()),
-        )
-        for field, mtfs, dark in zip(field_values(data), field_mtfs(data), data.dark, strict=True)
-    ]
-    caption = "Real rays; MTF tangential / sagittal (t / s)"
-    return DocumentTable("fields", tuple(f"{name}\n{unit}" for name, unit in units.items()), rows, caption)
+    """Return what rays and waves of every second field do."""
+    columns = field_columns(data)
+    columns["distortion_percent"] = 100 * columns["distortion"]
+    cells = [[number(value, FIELD_DIGITS) for value in columns[name]] for name in FIELD_HEADS]
+    for frequency in data.asked_lp_per_mm:
+        cells.append(["/".join(number(round(value, 2)) for value in both) for both in data.mtf_at(frequency)])
+    heads = (*FIELD_HEADS.values(), *(f"MTF {frequency:.4g}/mm\nt/s" for frequency in data.asked_lp_per_mm))
+    caption = (
+        f"Spots and MTF (tangential/sagittal) of {'rays' if data.geometric else 'waves'} of all wavelengths with equal weights, "
+        f"all else of {data.lens.primary_nm:.5g} nm; the wavefront is without tilt"
+    )
+    return DocumentTable("fields", heads, list(zip(*cells, strict=True))[::2], caption)
 
 
-SHARP = 0.1  # of the largest image height: light that is so close together is seen as a ghost, not as a veil
-SHOWN_GHOSTS = 12
-
-
-def ghost_words(data: LensData) -> list[str]:
-    """Return how much light pairs of surfaces reflect twice, and which pair focuses it nearest to the sensor, as a sentence."""
-    nearest = data.focused_ghost
-    if nearest is None:
-        return []
-    coating = "bare glass" if data.reflectance is None else f"a coating that reflects {100 * data.reflectance:.3g} %"
-    total, count = 100 * sum(ghost.share for ghost in data.ghosts), len(data.ghosts)
-    image_mm = float(np.abs(data.height_mm).max())
-    kind = "a ghost" if image_mm and nearest.blur_mm < SHARP * image_mm else "no ghost but a veil"
-    pairs = f"{count} pair{'s' * (count > 1)} of surfaces reflect{'s' * (count == 1)}"
-    front, back = nearest.surfaces
-    return [
-        f"{pairs} {total:.3g} % of it twice, with {coating}; nearest to the sensor focus {front} and {back}, to a disc of "
-        f"{nearest.blur_mm:.3g} mm: {kind}"
-    ]
+SHOWN_GHOSTS = 5
 
 
 def ghost_table(data: LensData) -> DocumentTable:
     """Return what the pairs of surfaces with the largest shares reflect twice, and the pair that focuses nearest to the sensor."""
-    listed = data.ghosts[:SHOWN_GHOSTS]
-    nearest = data.focused_ghost
-    listed += [] if nearest is None or nearest in listed else [nearest]
-    rows = tuple(
+    ghosts = dict.fromkeys([*data.ghosts[:SHOWN_GHOSTS], data.focused_ghost])
+    rows = [
         (
-            f"{each.surfaces[0]} and {each.surfaces[1]}", f"{100 * each.share:.3g}", number(each.focus_from_image_mm, 4),
-            f"{each.blur_mm:.3g}",
+            f"{ghost.surfaces[0]} and {ghost.surfaces[1]}",
+            *(number(value, 3) for value in (100 * ghost.share, ghost.focus_from_image_mm, ghost.blur_mm)),
         )
-        for each in listed
-    )  # fmt: skip
+        for ghost in ghosts
+        if ghost
+    ]
     head = "surfaces", "share of the light (%)", "focus behind the image plane (mm)", "disc of a point (mm)"
-    shown = f", {SHOWN_GHOSTS} of {len(data.ghosts)} pairs" if len(data.ghosts) > len(listed) else ""
-    caption = f"Light on the axis that two surfaces reflect{shown}: paraxial, not stopped by apertures"
+    total = sum(ghost.share for ghost in data.ghosts)
+    coating = "bare glass" if data.reflectance is None else f"a coating that reflects {100 * data.reflectance:.3g} %"
+    caption = f"Light on the axis: {100 * total:.3g} % by all pairs, with {coating}, the nearest focus last"
     return DocumentTable("reflected-twice", head, rows, caption)
 
 
@@ -470,17 +397,15 @@ def surface_table(data: LensData) -> DocumentTable:
     prescription = data.lens.prescription
     head = ("surface", "radius (mm)", "thickness (mm)", "medium behind", "conic", "asphere", "semi-diameter (mm)")
     rows = []
-    for place, surface in enumerate(prescription.surfaces, 1):
-        semi = "" if surface.semi_diameter_mm is None else f"{surface.semi_diameter_mm:.5g}"
-        rows.append((
-            f"{place}{', stop' if place == prescription.stop + 1 else ''}",
-            "plane" if not surface.curvature_per_mm else f"{1 / surface.curvature_per_mm:.6g}",
-            f"{surface.thickness_mm:.6g}",
-            surface.glass.name,
-            f"{surface.conic:.5g}" if surface.conic else "",
-            ", ".join(f"A{power} {value:.4g}".translate(UNBROKEN) for power, value in surface.asphere),
-            semi + (", clips" if surface.clips and semi else ""),
-        ))  # fmt: skip
+    for index, surface in enumerate(prescription.surfaces):
+        radius_mm = f"{1 / surface.curvature_per_mm:.6g}" if surface.curvature_per_mm else "plane"
+        conic = f"{surface.conic:.5g}" if surface.conic else ""
+        asphere = ", ".join(f"A{power} {value:.4g}".translate(UNBROKEN) for power, value in surface.asphere)
+        semi_diameter_mm = f"{surface.semi_diameter_mm:.5g}" if surface.semi_diameter_mm else ""
+        if surface.clips and semi_diameter_mm:
+            semi_diameter_mm += ", clips"
+        place = f"{index + 1}, stop" if index == prescription.stop else f"{index + 1}"
+        rows.append((place, radius_mm, f"{surface.thickness_mm:.6g}", surface.glass.name, conic, asphere, semi_diameter_mm))
     caption = "Surfaces in the order of the light; the last thickness leads to the image plane"
     return DocumentTable("prescription", head, rows, caption)
 

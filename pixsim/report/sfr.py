@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
+from pixsim.base.digits import number, percent, with_ends
 from pixsim.base.schema import result_data
 from pixsim.base.tables import Column, table_csv
 from pixsim.measure.sfr import COVERAGE, NYQUIST_CY_PER_PX, EdgeResponse
+from pixsim.report.panels import Line, Panel, draw_panels
 from pixsim.show.document import Answer, Document, Plot, Section
-from pixsim.show.figures import COLOURS, new_figure
+from pixsim.show.figures import COLOURS
 from pixsim.show.pages import FIGURE_SUFFIXES, Drawing, figure
 from pixsim.show.presenter import Presenter
 
@@ -35,74 +40,61 @@ def sfr_document(edge: EdgeResponse) -> Document:
     )
 
 
+ATTRIBUTES = (
+    "mtf50_cy_per_px", "channel", "angle_deg", "contrast", "edge_degree", "edge_sagitta_px", "half_window_px", "rows_used",
+    "pitch_um",
+)  # fmt: skip
+
+
 def sfr_data(edge: EdgeResponse) -> dict[str, Any]:
     """Return summary.json: frequencies in cy/px, and in cy/mm if the pitch is known."""
-    mtf50 = edge.mtf50_cy_per_px
-    mtf50_interval = edge.mtf50_interval_cy_per_px
-    at_nyquist = edge.at(NYQUIST_CY_PER_PX)
-    data: dict[str, Any] = {
-        "mtf50_cy_per_px": mtf50,
-        "mtf50_interval_cy_per_px": list(mtf50_interval),
-        "sfr_at_nyquist": at_nyquist[0],
-        "sfr_at_nyquist_interval": list(at_nyquist[1:]),
+    mtf50, ends = edge.mtf50_cy_per_px, edge.mtf50_interval_cy_per_px
+    at_nyquist, *interval = edge.at(NYQUIST_CY_PER_PX)
+    data: dict[str, Any] = {name: getattr(edge, name) for name in ATTRIBUTES} | {
+        "mtf50_interval_cy_per_px": list(ends),
+        "sfr_at_nyquist": at_nyquist,
+        "sfr_at_nyquist_interval": interval,
         "interval_coverage": COVERAGE,
-        "channel": edge.channel,
         "channel_nyquist_cy_per_px": edge.nyquist_cy_per_px,
         "sfr_at_channel_nyquist": edge.at(edge.nyquist_cy_per_px)[0],
         "highest_frequency_cy_per_px": float(edge.frequency_cy_per_px[-1]),
-        "angle_deg": edge.angle_deg,
-        "contrast": edge.contrast,
-        "edge_degree": edge.edge_degree,
-        "edge_sagitta_px": edge.edge_sagitta_px,
-        "half_window_px": edge.half_window_px,
-        "rows_used": edge.rows_used,
-        "pitch_um": edge.pitch_um,
     }
     if edge.pitch_um is not None:
         px_per_mm = 1e3 / edge.pitch_um
-        data["mtf50_cy_per_mm"] = None if mtf50 is None else mtf50 * px_per_mm
-        data["mtf50_interval_cy_per_mm"] = [None if bound is None else bound * px_per_mm for bound in mtf50_interval]
-        data["nyquist_cy_per_mm"] = NYQUIST_CY_PER_PX * px_per_mm
-    settings = {"channel": edge.channel, "pitch_um": edge.pitch_um, "half_window_px": edge.half_window_px}
+        low, high, data["mtf50_cy_per_mm"] = (None if value is None else value * px_per_mm for value in (*ends, mtf50))
+        data |= {"mtf50_interval_cy_per_mm": [low, high], "nyquist_cy_per_mm": NYQUIST_CY_PER_PX * px_per_mm}
+    settings = {name: data[name] for name in ("channel", "pitch_um", "half_window_px")}
     return result_data(data, settings=settings, notes=edge.notes, table="sfr.csv")
 
 
 def sfr_parts(data: Mapping[str, Any]) -> list[str]:
-    """Return the response, the edge, and what the interval is of.
+    """Return the response, the edge, and what the intervals are of.
 
     data : of `sfr_data`
     """
-    channel = "" if data["channel"] is None else f"{data['channel']}: "
-    line = f"edge at {data['angle_deg']:.2f}°"
-    if data["edge_degree"] > 1:
-        line += f" (bowed by {data['edge_sagitta_px']:.2g} px, degree {data['edge_degree']})"
+    bow = f" (bowed by {data['edge_sagitta_px']:.2g} px, degree {data['edge_degree']})" if data["edge_degree"] > 1 else ""
+    at_nyquist = with_ends(data["sfr_at_nyquist"], data["sfr_at_nyquist_interval"])
     return [
-        f"{channel}{_mtf50_words(data)}, {_nyquist_words(data)}",
-        f"{line}, ±{data['half_window_px']:g} px, {data['rows_used']} lines, contrast {data['contrast']:.2f}",
-        f"in brackets {100 * data['interval_coverage']:.0f} % by the picture's noise",
+        f"{data['channel'] or ''} {_mtf50_words(data)}, {at_nyquist} at Nyquist{_channel_words(data)}".lstrip(),
+        f"edge at {data['angle_deg']:.2f}°{bow}, ±{data['half_window_px']:g} px, {data['rows_used']} lines, contrast "
+        f"{data['contrast']:.2f}",
+        f"in brackets {percent(data['interval_coverage'])} by the picture's noise",
     ]
 
 
 def _mtf50_words(data: Mapping[str, Any]) -> str:
-    last = f"{data['highest_frequency_cy_per_px']:g}"
-    bounds = data["mtf50_interval_cy_per_px"]
-    low, high = (f"above {last}" if bound is None else f"{bound:.3f}" for bound in bounds)
+    low, high = (math.inf if end is None else end for end in data["mtf50_interval_cy_per_px"])
     if data["mtf50_cy_per_px"] is None:
-        return f"MTF50 above {last} cy/px" + ("" if bounds[0] is None else f" (from {low})")
-    on_sensor = "" if data["pitch_um"] is None else f" ({data['mtf50_cy_per_mm']:.1f} cy/mm)"
-    return f"MTF50 {data['mtf50_cy_per_px']:.3f} [{low}, {high}] cy/px{on_sensor}"
+        return f"MTF50 above {data['highest_frequency_cy_per_px']:g} cy/px"
+    on_sensor = f" ({number(data['mtf50_cy_per_mm'], 3)} cy/mm)" if data["pitch_um"] else ""
+    return f"MTF50 {with_ends(data['mtf50_cy_per_px'], (low, high))} cy/px{on_sensor}"
 
 
-def _nyquist_words(data: Mapping[str, Any]) -> str:
-    low, high = data["sfr_at_nyquist_interval"]
-    words = f"{data['sfr_at_nyquist']:.3f} [{low:.3f}, {high:.3f}] at Nyquist"
-    if data["channel"] is None:
-        return words
-    channel_nyquist = data["channel_nyquist_cy_per_px"]
-    if channel_nyquist == NYQUIST_CY_PER_PX:
-        return f"{words} of the sensor and of the channel (0.5 cy/px)"
-    at_channel = f"{data['sfr_at_channel_nyquist']:.3f} at the channel's own ({channel_nyquist:g} cy/px)"
-    return f"{words} of the sensor (0.5 cy/px), {at_channel}"
+def _channel_words(data: Mapping[str, Any]) -> str:
+    nyquist = data["channel_nyquist_cy_per_px"]
+    if data["channel"] is None or nyquist == NYQUIST_CY_PER_PX:
+        return ""
+    return f" (0.5 cy/px), {number(data['sfr_at_channel_nyquist'], 3)} at the channel's ({nyquist:.3g} cy/px)"
 
 
 def sfr_table(edge: EdgeResponse) -> dict[str, Column]:
@@ -114,40 +106,30 @@ def sfr_table(edge: EdgeResponse) -> dict[str, Column]:
     return {name: values.tolist() for name, values in columns.items()}
 
 
-@figure("sfr", "Edge-based spatial frequency response (ISO 12233), with its 95 % interval by the noise of the picture.")
+@figure("sfr", "SFR (ISO 12233) and its 95 % interval.")
 def sfr_plate(edge: EdgeResponse) -> Drawing:
     """Plot the SFR against frequency, with the Nyquist frequency and the MTF50."""
-    figure = new_figure(5.2, 3.4)
-    axes = figure.subplots()
-    scale, unit = (1.0, "cycles/pixel") if edge.pitch_um is None else (1e3 / edge.pitch_um, "cycles/mm on the sensor")
-    frequency = edge.frequency_cy_per_px * scale
-    axes.fill_between(frequency, *edge.sfr_interval, color=COLOURS[0], alpha=0.25, lw=0)
-    axes.plot(frequency, edge.sfr, color=COLOURS[0], lw=1.5)
+    table = {name: np.array(values) for name, values in sfr_table(edge).items()}
+    x, scale, unit = "frequency_cy_per_px", 1.0, "cycles/pixel"
+    if edge.pitch_um is not None:
+        x, scale, unit = "frequency_cy_per_mm", 1e3 / edge.pitch_um, "cycles/mm on the sensor"
+    marks = {"Nyquist": NYQUIST_CY_PER_PX * scale}
+    if edge.mtf50_cy_per_px is not None:
+        marks["MTF50"] = edge.mtf50_cy_per_px * scale
 
-    nyquist = NYQUIST_CY_PER_PX * scale
-    top = max(1.03, min(1.05 * float(edge.sfr.max()), MAX_SFR_SHOWN))
-    axes.axvline(nyquist, color="0.6", lw=1, ls="--")
-    axes.annotate("Nyquist", (nyquist, top), ha="center", va="bottom", color="0.35", annotation_clip=False)
-    if (mtf50 := edge.mtf50_cy_per_px) is not None:
-        point = mtf50 * scale, 0.5
-        axes.plot(*point, "o", ms=5, color=COLOURS[1])
-        axes.annotate(f"MTF50 {point[0]:.3g}", point, xytext=(12, 12), textcoords="offset points", color=COLOURS[1])
-
-    axes.set(xlabel=f"frequency along the normal of the edge ({unit})", ylabel="e-SFR")
-    axes.set_xlim(0, frequency[-1])
-    axes.set_ylim(0, top)
-    return figure, sfr_table(edge)
+    limits = {"xlim": (0, table[x][-1]), "ylim": (0, max(1.03, min(1.05 * float(edge.sfr.max()), MAX_SFR_SHOWN)))}
+    panel = Panel(f"frequency along the normal of the edge ({unit})", "e-SFR", (Line(x, "sfr", "SFR"),), marks, limits)
+    figure, _ = draw_panels(table, [panel])
+    figure.axes[0].fill_between(table[x], table["sfr_low"], table["sfr_high"], color=COLOURS[0], alpha=0.25, lw=0)
+    return figure, table
 
 
-@figure("edge_spread", "Edge spread function: means of pixels at the same distance from the edge, along its normal.")
+@figure("edge_spread", "Edge spread function.")
 def edge_plate(edge: EdgeResponse) -> Drawing:
     """Plot the edge spread function."""
-    figure = new_figure(5.2, 3.0)
-    axes = figure.subplots()
-    axes.plot(edge.distance_px, edge.edge_spread, color=COLOURS[0], lw=1.2)
-    axes.set(xlabel="distance from the edge along its normal (pixels)", ylabel="mean of bins (above black)")
-    axes.set_xlim(-edge.half_window_px, edge.half_window_px)
-    return figure, {"distance_px": edge.distance_px, "mean": edge.edge_spread}
+    table = {"distance_px": edge.distance_px, "mean": edge.edge_spread}
+    panel = Panel("distance from the edge along its normal (pixels)", "mean of bins", (Line("distance_px", "mean"),))
+    return draw_panels(table, [panel])
 
 
 PRESENTER = Presenter(document=sfr_document, figure=sfr_plate, csv=lambda edge: table_csv(sfr_table(edge)))

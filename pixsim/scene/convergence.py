@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base.arrays import MEASURED, PARTS, Array, spread_parts, strips
-from pixsim.base.digits import told_apart
+from pixsim.base.digits import amount, told_apart
 from pixsim.base.mapped import is_mapped, release, zeros
 from pixsim.base.notes import Note, warn
 from pixsim.base.progress import Progress
@@ -234,7 +234,7 @@ def _limit_note(ended: EndedBy, plan: Plan, noise: RenderNoise, max_seconds: flo
     """
     limit_s = f"the time limit of {max_seconds or 0:g} s (--max-seconds)"
     causes = {
-        "samples": f"the render ended at its limit of {plan.most_samples:.2g} samples",
+        "samples": f"the render ended at its limit of {amount(plan.most_samples, 2)} samples",
         "max_seconds": f"{limit_s} leaves no time for the next step of the render",
         "runs": f"the render ended at its limit of {noise.runs} renders",
     }

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pixsim.base.arrays import Array
 from pixsim.base.bounds import Count, Positive
 from pixsim.base.caller import parameter, setting
-from pixsim.base.digits import percent
+from pixsim.base.digits import amount, percent, rounded
 from pixsim.base.door import checked_methods
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import Note
@@ -718,7 +718,7 @@ def decide_oversampling(
         return None, Decision(FILM, True, f"{_sampling(camera, physics, width)}; {words}")
     chosen = film.fitting_width(camera.height_mm / camera.die_mm, needed, most)
     pictures = f"{plan.planes} picture{'s' * (plan.planes > 1)}"
-    limits = f", the limit for {pictures} ({film.MAX_ACROSS} across, 2 GiB, {plan.most_samples:.2g} rays)"
+    limits = f", the limit for {pictures} ({film.MAX_ACROSS} across, 2 GiB, {amount(plan.most_samples, 2)} rays)"
     limit = limits if needed > most else ""
     sampling = _sampling(camera, physics, chosen)
     return chosen, Decision(FILM, True, f"{sampling}, not {width} as in the scene: {words}{limit}")
@@ -776,10 +776,10 @@ def decide_saturation(readout: Readout, integration_s: float) -> Decision:
     conversion = "; V(Q) of the junction at every level" if bent else ""
     if pixel.well_limit == "swing" or diode is None:
         clips = "at the well" if full_well_e <= readout.adc_range_e else "by the ADC"
-        reason = f"linear charge up to a hard clip {clips}, {readout.burst(1).saturation_e:.3g} e-{conversion}"
+        reason = f"linear charge up to a hard clip {clips}, {rounded(readout.burst(1).saturation_e, 3)} e-{conversion}"
         return Decision("saturation", True, reason)
     limit_e = linear_limit_e(diode, full_well_e, integration_s)
-    limit = f"{limit_e:.3g} e- in {integration_s:.3g} s ({percent(limit_e / full_well_e)} of the well)"
+    limit = f"{rounded(limit_e, 3)} e- in {rounded(integration_s, 3)} s ({percent(limit_e / full_well_e)} of the well)"
     if bent:
         return Decision("saturation", True, f"the diode turns forward above {limit}{conversion}")
     reason = f"linear if the brightest pixel stays below {limit}; else a table of the diode"

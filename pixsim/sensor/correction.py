@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array, NotNegativeArray
 from pixsim.base.bounds import NotNegative
+from pixsim.base.digits import rounded
 from pixsim.base.errors import invalid
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.correction_options import Correction
@@ -132,7 +133,7 @@ def flat_light_e(readout: Readout, correction: Correction, integration_s: NotNeg
     dark_e = readout.dark_current_e_per_s * integration_s
     light_e = correction.flat_level * readout.saturation_e - dark_e
     if light_e <= 0:
-        got = f"{correction.flat_level:g}, with {dark_e:.3g} e- of dark charge in {integration_s:.3g} s"
+        got = f"{correction.flat_level:g}, with {rounded(dark_e, 3)} e- of dark charge in {rounded(integration_s, 3)} s"
         least = f"above {dark_e / readout.saturation_e:.3g}, where the flat frames have light"
         raise invalid("correction.flat_level", got, least, "Raise it, or shorten exposure.max_integration_s.")
     return light_e

@@ -9,7 +9,7 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
-from pixsim.base.digits import percent
+from pixsim.base.digits import percent, rounded, setting_text
 from pixsim.base.notes import Note
 from pixsim.light.curves import EfficiencyCurve
 from pixsim.light.spectral import SpectralImage, photons_per_joule
@@ -89,10 +89,20 @@ def focus_notes(pitch_um: float, camera: Camera, irradiance: SpectralImage) -> l
     if disc_um <= BLURRED_PIXELS * pitch_um:
         return []
 
-    nearest, farthest = (f"{depth_m:.4g} m" if math.isfinite(depth_m) else "infinity" for depth_m in (nearest_m, farthest_m))
+    nearest, farthest = (
+        f"{rounded(depth_m, 3)} m" if math.isfinite(depth_m) else "infinity" for depth_m in (nearest_m, farthest_m)
+    )
     place = nearest if nearest == farthest else f"{nearest} to {farthest}"
-    numbers = {"focus_m": camera.object_distance_m, "disc_um": disc_um, "disc_px": disc_um / pitch_um, "pitch_um": pitch_um}
-    return [Note("focus", place=place, setting=setting("camera.object_distance_m"), **numbers)]
+    note = Note(
+        "focus",
+        focus_m=setting_text(camera.object_distance_m),
+        place=place,
+        disc_um=rounded(disc_um, 3),
+        disc_px=rounded(disc_um / pitch_um, 3),
+        pitch_um=pitch_um,
+        setting=setting("camera.object_distance_m"),
+    )
+    return [note]
 
 
 def tables_of(physics: PixelPhysics) -> dict[str, EfficiencyCurve]:

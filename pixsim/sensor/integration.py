@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
 from pixsim.base.arrays import Array, in_threads, strips, transposed
-from pixsim.base.digits import percent
+from pixsim.base.digits import amount, percent
 from pixsim.base.errors import invalid
 from pixsim.base.notes import Note, warn
 from pixsim.base.progress import watched_share
@@ -578,7 +578,9 @@ def pixels_on(size_um: Iterable[float], pitch_um: float, registration: Registrat
 def check_pixel_count(shape: Iterable[float], pitch_um: float) -> None:
     """Raise PixsimError if there are more than `MAX_PIXELS` pixels."""
     if (pixels := math.prod(shape)) > MAX_PIXELS:
-        raise invalid("pixel.pitch_um", f"{pitch_um:g}, which makes {pixels:.3g} pixels", f"at most {MAX_PIXELS:.3g} pixels")
+        raise invalid(
+            "pixel.pitch_um", f"{pitch_um:g}, which makes {amount(pixels)} pixels", f"at most {amount(MAX_PIXELS)} pixels"
+        )
 
 
 def integrate_axis(

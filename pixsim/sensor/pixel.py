@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from pixsim.base.arrays import Array, PositiveArray, Positives
 from pixsim.base.bounds import NotNegative, Positive, Whole, check_broadcast
+from pixsim.base.digits import rounded
 from pixsim.base.door import checked_methods
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
 from pixsim.base.records import UnitInterval, content_hash
@@ -774,7 +775,7 @@ def offset_share(pixel: Pixel, technology: Technology, process_well: Well) -> fl
     if share > 1:
         swing_v = process_well.full_well_e / (E_PER_FC * process_well.mean_ff)
         got = f"{a_vt_mv_um:g}, which is {share * swing_v:.3g} V for a gate of {gate_um2:g} µm²"
-        hint = f"Give a gate (follower_area_um2) of at least {gate_um2 * share**2:.3g} µm²."
+        hint = f"Give a gate (follower_area_um2) of at least {rounded(gate_um2 * share**2, 3)} µm²."
         raise invalid(f"{place}a_vt_mv_um", got, f"at most the swing of the pixel, {swing_v:.3g} V", hint)
     return share
 

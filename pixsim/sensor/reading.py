@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import Any
 
 from pixsim.base.bounds import Count, NotNegative, Positive
+from pixsim.base.digits import rounded
 from pixsim.base.door import checked_methods
 from pixsim.base.errors import invalid
 from pixsim.sensor.exposure import Exposure
@@ -261,8 +262,11 @@ class Readout:
         """
         dark_e = self.dark_current_e_per_s * integration_s
         if dark_e >= self.saturation_e:
-            allowed, hint = f"less than saturation, {self.saturation_e:.4g} e-", "Shorten the integration time or cool the sensor."
-            raise invalid("integration_s of the dynamic range", f"{dark_e:.4g} e- of dark charge", allowed, hint)
+            allowed, hint = (
+                f"less than saturation, {rounded(self.saturation_e, 3)} e-",
+                "Shorten the integration time or cool the sensor.",
+            )
+            raise invalid("integration_s of the dynamic range", f"{rounded(dark_e, 3)} e- of dark charge", allowed, hint)
         variance_e2 = self._dark_variance_e2(dark_e)
         return 20 * math.log10((self.saturation_e - dark_e) / math.sqrt(variance_e2)) if variance_e2 else math.inf
 

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from pixsim.base.caller import setting
+from pixsim.base.digits import amount
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import Note, warn
 from pixsim.base.records import Record, content_hash
@@ -430,9 +431,9 @@ def fitted_range(study: Study, camera: Camera) -> Study:
         if min(lows) < least_um - 10**-PITCH_DIGITS:
             if len(lows) > 1:
                 which = study.technologies[lows.index(min(lows))]
-                got = f"{min(lows):.4g} µm of {which}: {height_um * width_um / min(lows) ** 2:.3g} pixels"
+                got = f"{min(lows):.4g} µm of {which}: {amount(height_um * width_um / min(lows) ** 2)} pixels"
                 raise invalid(
-                    "pitch.min_fill_factor", got, f"at most {most:.3g} pixels", f"Set --pitch.min-um {least_um:g}, or --window."
+                    "pitch.min_fill_factor", got, f"at most {amount(most)} pixels", f"Set --pitch.min-um {least_um:g}, or --window."
                 )
             low = least_um
             limit = f"{MAX_FRAME_BYTES / (1 << 30):g} GiB for a frame"
@@ -440,9 +441,7 @@ def fitted_range(study: Study, camera: Camera) -> Study:
                 limit = "as many as pixsim simulates"
             elif most > MAX_FRAME_BYTES / BYTES_PER_PIXEL:
                 limit = "as many as the data sheet's sensor has"
-            reason = (
-                f"it has {most / 1e6:.3g} million pixels on the die, {limit}; smaller ones: --pitch.min-um, or a part of the die "
-            )
+            reason = f"it has {amount(most)} pixels on the die, {limit}; smaller ones: --pitch.min-um, or a part of the die "
             reason += "by --window"
             warn(_range_note("smallest pixel size", low, min(lows), reason))
     if own_um is None and low == pitch.min_um:
@@ -463,7 +462,7 @@ def check_smallest(pitch_um: float, camera: Camera, name: str) -> None:
         least = up_to_pitch_digits(math.sqrt(height_um * width_um / MAX_PIXELS))
         widest = f"{math.floor(1e2 * pitch_um * math.sqrt(MAX_PIXELS) / 1e3) / 1e2:g}"
         hint = f"Or take a part of the die: --window {widest}."
-        raise invalid(name, f"{pitch_um:g}, which makes {count:.3g} pixels", f"at least {least:g} on this die", hint)
+        raise invalid(name, f"{pitch_um:g}, which makes {amount(count)} pixels", f"at least {least:g} on this die", hint)
 
 
 def up_to_pitch_digits(pitch_um: float) -> float:

@@ -17,6 +17,7 @@ from scipy.sparse import csr_array
 from pixsim.base.arrays import STRIP_DOTS, Array, Finites, NumberArray, Picture, Row, strips, transposed
 from pixsim.base.bounds import Bounds, Count, NotNegative, Positive
 from pixsim.base.caller import setting
+from pixsim.base.digits import amount
 from pixsim.base.errors import invalid
 from pixsim.light.spectral import (
     DIFFUSER,
@@ -203,8 +204,8 @@ def dot_edges_um(
     # Half a dot is rounded down, whatever the rounding of lengths: other sensors with the same field then have the same dots.
     counts = [max(1, round(display.dots * length_um / size_um[1] * (1 - 1e-9))) for length_um in size_um]
     if math.prod(counts) > MAX_PIXELS:
-        got = f"{display.dots} across a picture of {size_um[1]:g} µm × {size_um[0]:g} µm: {math.prod(counts):.3g} dots"
-        raise invalid("display.dots", got, f"at most {MAX_PIXELS:.3g} dots in all")
+        got = f"{display.dots} across a picture of {size_um[1]:g} µm × {size_um[0]:g} µm: {amount(math.prod(counts))} dots"
+        raise invalid("display.dots", got, f"at most {amount(MAX_PIXELS)} dots in all")
     edges = []
     for length_um, count in zip(size_um, counts, strict=True):
         cut = math.ceil(border_um / length_um * count * (1 - 1e-9))

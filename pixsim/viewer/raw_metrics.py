@@ -12,6 +12,7 @@ from scipy.special import ndtr
 
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
+from pixsim.base.digits import rounded
 from pixsim.base.errors import invalid
 from pixsim.sensor.code_moments import COARSE_DN, FARTHEST_SIGMAS, moments_of_codes
 from pixsim.sensor.integration import M2_PER_UM2, electrons_per_joule, split_by_veil
@@ -679,7 +680,8 @@ def _niirs(judged: FrameUnderTest) -> tuple[float]:
     white_e = veil.kept * frame.white_e
     darker_e, brighter_e = (white_e * reflectance + stray_e for reflectance in sorted(options.reflectances))
     if brighter_e >= (most_e := full_e(readout, time_s)):
-        got = f"{brighter_e:.3g} e- of the brighter surface in pixels of {readout.physics.pitch_um:g} µm, full at {most_e:.3g} e-"
+        brighter, most = (rounded(electrons, 3) for electrons in (brighter_e, most_e))
+        got = f"{brighter} e- of the brighter surface in pixels of {readout.physics.pitch_um:g} µm, full at {most} e-"
         allowed = "surfaces that the frame tells apart"
         raise NoNumberError(str(invalid("the metric niirs", got, allowed, "Expose it for less time.")))
     noise_e2 = float(variance_of_pixels_e2(readout, brighter_e, time_s))

@@ -23,7 +23,15 @@ from pixsim.measure.colour import colour_truth, measure_colour, noise_gain, smi
 from pixsim.measure.datasheet import DataSheet, Entry, expected_moments, make_datasheet, mean_offset_e, variance_peak_e
 from pixsim.measure.estimators import Estimate, FrameStack, PairSeries, daylight_e_per_lx_s
 from pixsim.measure.experiment import DARK_TIMES, EXPOSURES, make_experiment, peak_wavelength_nm, pixel_efficiency
-from pixsim.report.datasheet import FILES as PLANNED, datasheet_document, datasheet_notes, described, sheet_name, spectrogram
+from pixsim.report.datasheet import (
+    FILES as PLANNED,
+    datasheet_document,
+    datasheet_notes,
+    described,
+    measurement_words,
+    sheet_name,
+    spectrogram,
+)
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.noise import signal_at_snr_e
 from pixsim.sensor.pixel import derive
@@ -355,7 +363,7 @@ def test_colour_entries_measured_within_standard_errors(colour_sheet: DataSheet)
     test_entries_measured_within_standard_errors(colour_sheet)
     physics, lines = derive(colour_pixel()), by_symbol(colour_sheet)
     assert "530 nm on channel G" in str(described(colour_sheet))
-    assert any("those of G" in note for note in datasheet_notes(colour_sheet))
+    assert "those of G" in measurement_words(colour_sheet)
     for symbol, letter in (("η", "G"), ("η_R", "R"), ("η_B", "B")):
         (channel,) = (one for one in physics.channels if one.channel == letter)
         assert lines[symbol].true == pytest.approx(100 * pixel_efficiency(channel, peak_wavelength_nm(channel)), rel=1e-12)

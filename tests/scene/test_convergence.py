@@ -389,7 +389,7 @@ def test_render_until_sample_limit_ends(monkeypatch):
     renders = Noisy(monkeypatch, 0.1)
     monkeypatch.setattr(film, "CHART_SAMPLES", 100 * 32 * 32)
     monkeypatch.setattr(convergence.time, "perf_counter", lambda: 1e9 * len(renders.levels))
-    with pytest.warns(UserWarning, match=r"limit of 1e\+05 samples.*times as many samples.*--max-seconds"):
+    with pytest.warns(UserWarning, match=r"limit of 100000 samples.*times as many samples.*--max-seconds"):
         image, noise = until(1e-6, max_seconds=None)
     # In one half 4 + 4 + 16 + 16 samples a cell; a third pair of 16 would exceed 50.
     assert renders.levels == [0, 0, 0, 0, 1, 1, 1, 1]

@@ -542,7 +542,7 @@ def test_full_well_below_the_smallest_numbers_raises():
 @pytest.mark.parametrize(
     ("pixel", "camera", "options", "message"),
     [
-        ({"pitch_um": 1e-3, "fill_factor": 0.5}, {"die_mm": 1000}, {}, r"got 0\.001, which makes 1e\+09 pixels; .*at most"),
+        ({"pitch_um": 1e-3, "fill_factor": 0.5}, {"die_mm": 1000}, {}, r"got 0\.001, which makes 1000 million pixels; .*at most"),
         ({"pitch_um": 3000}, {}, {}, r"pitch_um: got 3000; allowed: at most the die, 2713\.6"),
         ({}, {}, {"seed": -1}, "seed: got -1; allowed: a finite whole number not below 0"),
         *(({}, {}, {"aspect": item}, r"aspect: got .*; allowed: a number from") for item in (0.0, -1.0, math.nan, math.inf)),
