@@ -509,7 +509,8 @@ def _numbers(result: RunResult) -> Iterator[tuple[str, str]]:
     for name in shown_statistics(result):
         is_filled = name == "fill_factor" and physics.technology.name == NO_TECHNOLOGY and statistics[name] > FILLED
         if name in MEANINGS and not is_filled:  # of a data sheet, which states none
-            yield MEANINGS[name], rounded(statistics[name], 4)
+            value = statistics[name]
+            yield MEANINGS[name], estimate(value) if name.endswith("_delta_e") else rounded(value, 4)
 
     imaging, path_um = result.chain.imaging, result.chain.moving.longest_um
     frequency_lp_per_mm, name, sensor_terms, display_terms = detail_terms(imaging, result.irradiance, path_um)

@@ -110,4 +110,4 @@ def settings_blocks(tables: Sequence[DocumentTable]) -> list[Block]:
     changed = [(f"{table.name}.{row[0]}", *row[1:3]) for table in tables for row in table.rows if row[-1] not in DEFAULTS]
     rest = [replace(table, rows=[row[:2] for row in table.rows if row[-1] in DEFAULTS]) for table in tables]
     first = DocumentTable("settings that differ from the defaults", (), changed, words=None, stacks=True)
-    return [first, Section("", "All other settings", [table for table in rest if table.rows], folded=True)]
+    return [*[first] * bool(changed), Section("", "All other settings", [table for table in rest if table.rows], folded=True)]
