@@ -47,6 +47,7 @@ CODE = re.compile(r"`([^`]+)`")  # in descriptions, as in docstrings
 MOST_TOGETHER = 4  # words of a number and its unit that stay on one line
 BELOW = "  "  # before the rows of a table, the items of a list, and what belongs to a headline
 BETWEEN = "  "  # columns
+NARROWEST = 12  # to which a column of words is wrapped
 WIDTH = 160  # columns of output that does not go to a terminal
 
 
@@ -83,31 +84,32 @@ def lines(block: Block, width: int = WIDTH, before: str = BELOW) -> Iterator[str
 def _table_lines(table: DocumentTable, width: int, before: str) -> Iterator[str]:
     """Yield a table in columns as wide as their longest cell; where that is too wide, those of words are wrapped."""
     heads = zip(*(cell.split("\n") for cell in table.head), strict=True)
-    room = len(tuple(table.head)) - table.wide or None
-    rows = [*heads, *([plain_text(cell) for cell in row] for row in table.rows)]
-    rows = [row[:room] for row in rows]
-    columns = list(zip(*(row for row in rows if len(row) == max(map(len, rows))), strict=True))
-    words = range(len(columns)) if table.words is None else (0, *table.words)
-    widths = [max(map(len, column)) for column in columns]
-    narrowest = [max((len(word) for cell in column for word in cell.split()), default=0) for column in columns]
+    rows = [[plain_text(cell) for cell in row] for row in (*heads, *table.rows)]
+    count = max(map(len, rows), default=0) - table.wide
+    rows = [row[:count] for row in rows]
+    words = range(count) if table.words is None else (0, *table.words)
     before = BELOW if any(len(row) == 1 for row in rows) else before
-    left = width - len(before) - len(BETWEEN) * (len(columns) - 1)
-    while sum(widths) > left and (wide := [at for at in words if widths[at] > narrowest[at]]):
+
+    widths = [max(map(len, column)) for column in zip(*(row for row in rows if len(row) == count), strict=True)]
+    room = width - len(before) - len(BETWEEN) * (count - 1)
+    while sum(widths) > room and (wide := [at for at in words if widths[at] > NARROWEST]):
         widths[max(wide, key=widths.__getitem__)] -= 1
+
     for row in rows:
         if len(row) == 1:
             yield row[0]
             continue
-        whole = len(row) == len(columns)  # the last cell of another row takes what is left
-        cells = [_wrapped(cell, widths[at]) if whole and at in words else [cell] for at, cell in enumerate(row)]
+        is_text = [len(row) < count or at in words for at in range(len(row))]  # the last cell of a short row takes what is left
+        cells = [_wrapped(cell, widths[at]) if at in words and len(row) == count else [cell] for at, cell in enumerate(row)]
         for parts in zip_longest(*cells, fillvalue=""):
-            padded = enumerate(zip(parts, widths, strict=False))
-            shown = (part.rjust(wide) if whole and at not in words else part.ljust(wide) for at, (part, wide) in padded)
-            yield (before + BETWEEN.join(shown)).rstrip()
+            padded = (
+                part.ljust(wide) if left else part.rjust(wide) for part, wide, left in zip(parts, widths, is_text, strict=False)
+            )
+            yield (before + BETWEEN.join(padded)).rstrip()
 
 
 def _wrapped(cell: str, width: int) -> list[str]:
-    return textwrap.wrap(cell, width, break_long_words=False, break_on_hyphens=False) if len(cell) > width else [cell]
+    return textwrap.wrap(cell, width, break_long_words=False, break_on_hyphens=False) or [""]
 
 
 def json(document: Document) -> str:
