@@ -18,7 +18,7 @@ import pixsim
 from pixsim.base.bounds import without_bounds
 from pixsim.base.records import Record
 from pixsim.base.units import unit_of
-from pixsim.cli.templates import allowed, toml_value
+from pixsim.report.templates import allowed, toml_value
 
 ENTRY = re.compile(r"(\w+(?:, \w+)*) : (.*)")
 SHORT = {"npt.ArrayLike": "ArrayLike", "Floats": "Array", "os.PathLike[str]": "PathLike", "np.random.Generator": "Generator"}

@@ -33,7 +33,7 @@ from pixsim.base.errors import PixsimError, UnwritableError
 from pixsim.base.files import FOLDER_VARIABLE, output_folder, publishing, replacing, told_of_finished_files
 from pixsim.base.locks import LOCK, PARTIAL_FILE, PARTIAL_FOLDER, TEMPORARY, locked_folder, temporary_folder, unfinished
 from pixsim.cli import process as cli_process
-from pixsim.cli.commands import said_what_is_kept
+from pixsim.report.commands.study import said_what_is_kept
 from pixsim.scene.charts import write_chart
 from pixsim.studies.table import COLUMNS, Store
 
@@ -237,7 +237,7 @@ def test_signal_while_workers_start_ends_them(module: str, owner: str, name: str
 COMMAND_THAT_TURNS_SIGNALS = """
 import signal, sys, time
 from pixsim import cli
-from pixsim.cli import commands
+from pixsim.report import inventory
 
 def imports(*_):
     sys.path.append("")
@@ -257,7 +257,7 @@ def drops(*_):
         return {{"kinds": {{}}, "folder": "", "size_bytes": 0, "limit_bytes": 0}}
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
-commands.cache_summary = {way}
+inventory.cache_summary = {way}
 sys.argv = ["pixsim", "cache", "--quiet"]
 cli.command()
 """

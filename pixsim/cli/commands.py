@@ -7,29 +7,28 @@ import os
 import shutil
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
 from pixsim.base.caller import command_line
-from pixsim.base.errors import UnwritableError, invalid
-from pixsim.base.files import check_replaceable, output_folder, told_of_finished_files, write_made_from
+from pixsim.base.errors import invalid
+from pixsim.base.files import told_of_finished_files
 from pixsim.base.layers import Layer
 from pixsim.base.lazy import import_less
-from pixsim.base.notes import collected_notes, warn
+from pixsim.base.notes import collected_notes
+from pixsim.base.progress import Stage
 from pixsim.base.records import checked
 from pixsim.cli import options as common
-from pixsim.cli.options import DEFAULT_OUT, HELP, HELP_ALL, Json, Out, SceneOptions, answer, app, field_option, given, say, stages
+from pixsim.cli.options import HELP, HELP_ALL, Json, Out, SceneOptions, answer, app, field_option, given, say, stages, write_answer
 from pixsim.cli.process import interruption
 from pixsim.optics.lens_options import LensOptions
-from pixsim.studies.settings import study_layers
+from pixsim.report.commands import DEFAULT_OUT
 from pixsim.viewer.setting import Run
 
 RawFormat = Literal["tiff", "png", "npz"]
-RAW_FORMATS = get_args(RawFormat)
 TWO_FOLDERS = 2  # of results that are compared
 SCENE_HELP = (
     "An XML file, or the name of a packaged scene: csf, flat, siemens_star, slanted_edge, target, macbeth, line_lamp, still_life, "
@@ -56,7 +55,7 @@ def run_command(tokens: Sequence[str]) -> None:
     try:
         # Notes also of the settings, before a result collects its own.
         with command_line(), collected_notes(), told_of_finished_files(interruption.end_or_raise):
-            arguments = with_whole_options(with_each_format(arguments))
+            arguments = with_whole_options(arguments)
             if any(word in HELP for word in arguments) and HELP_ALL not in arguments:
                 from pixsim.cli.help import print_help
 
@@ -81,15 +80,6 @@ def widen_terminal() -> None:
         os.environ["COLUMNS"] = str(LEAST_WIDTH)
     elif stated is not None and not (stated.isdecimal() and int(stated) >= LEAST_WIDTH):
         del os.environ["COLUMNS"]
-
-
-def with_each_format(arguments: Sequence[str]) -> list[str]:
-    """Write `--raw tiff png` as `--raw tiff --raw png`: a list that takes all that follows would take the scene too."""
-    written: list[str] = []
-    for argument in arguments:
-        in_list = argument in RAW_FORMATS and written[-2:-1] == ["--raw"]
-        written += ["--raw", argument] if in_list else [argument]
-    return written
 
 
 WHOLE_OPTIONS = {"--lens": "--lens.file", "--metric": "--metrics"}
@@ -180,42 +170,28 @@ def run(
     settings.toml and report.html, or keeps them where they would be the same. `pixsim run SCENE --config settings.toml` repeats it.
     """
     import_less()
-    from pixsim.report.kept import kept_run
-    from pixsim.report.run import RunFiles, digest_of_run, run_document, run_page
-    from pixsim.show.render import text, write
-    from pixsim.studies.run import check_raw, light_run, prepare, score_run
+    from pixsim.report.commands.run import run_files
 
-    own = {"seed": seed, "tolerance_e": tolerance_e, "noise_budget": noise_budget}
-    chosen = options.settings(effort, display=display, **own, **vars(judges))
-    folder, raw_suffixes = out or DEFAULT_OUT / Path(scene).stem, [f".{suffix}" for suffix in raw or []]
-    check_raw(chosen, raw_suffixes)
-    files = RunFiles(tuple(raw_suffixes), irradiance, chosen.noise_budget)
-    if not dry_run:
-        check_replaceable(folder, files.names(frames))
-    prepared = prepare(scene, chosen, full=full, repeats=repeats, frames=frames, sensor=sensor, variant=variant, units=units)
-    if dry_run:
-        from pixsim.report.outline import outline_document, run_outline
-
-        answer(outline_document("run", run_outline(prepared), folder), json)
-        return
-    seconds: dict[str, float] = {}
-    with output_folder(folder), stages(seconds) as stage:  # an invalid folder fails before the render
-        lit = light_run(prepared, stage)
-        made_from = digest_of_run(lit, files)
-        if kept := kept_run(folder, made_from):
-            document, warned = kept
-            for note in warned:
-                if note not in lit.warned:  # the others were given now
-                    warn(note)
-        else:
-            result = score_run(lit, stage)
-            document = run_page(result, files, stage("write"))
-            write(document, folder, {"seconds": seconds})
-            document = run_document(result, warned=result.warned)
-            stored = [note.as_dict() for note in result.warned]
-            said: dict[str, list[Any]] = {"lines": text(document).splitlines(), "warned": stored}
-            write_made_from(folder, "run", made_from, said)
-    answer(document, json, f"report: {folder / 'report.html'}")
+    tables = {"display": display, "seed": seed, "tolerance_e": tolerance_e, "noise_budget": noise_budget, **vars(judges)}
+    settings = options.settings(effort, **tables)
+    with stages() as (stage, seconds):
+        document, page = run_files(
+            scene,
+            settings,
+            out,
+            formats=raw or [],
+            irradiance=irradiance,
+            full=full,
+            repeats=repeats,
+            frames=frames,
+            sensor=sensor,
+            variant=variant,
+            units=units,
+            dry_run=dry_run,
+            progress=stage,
+            seconds=seconds,
+        )
+    answer(document, json, page)
 
 
 @app.command(sort_key=3)
@@ -318,104 +294,14 @@ def study(
     repeats it.
     """
     import_less()
-    from pixsim.report.axes import axes_document, axes_files, study_report
-    from pixsim.report.kept import digest_of_report, keep_or_write
-    from pixsim.report.outline import outline_document, study_outline
-    from pixsim.report.study import report_files, study_document
-    from pixsim.report.uncertainty import uncertainty_files
-    from pixsim.show.figures import ready_to_draw
-    from pixsim.show.render import write
-    from pixsim.studies.design import MANY_CASES, MAX_CASES, check_number, number_of_cases
-    from pixsim.studies.dry_run import fitting_jobs
-    from pixsim.studies.engine import Workers, workers_here
-    from pixsim.studies.files import checked_study, config_layers, read_study, uncertainty_of
-    from pixsim.studies.prepare import asked_of, check_types, prepare
-    from pixsim.studies.regret import condition_regrets
-    from pixsim.studies.result import CasesResult
-    from pixsim.studies.study import run_prepared
+    from pixsim.report.commands.study import study_files
 
-    stated = read_study(study, options.quick)
-    config = options.scene_options.config or []
-    jobs, scheduler, figures = options.jobs, options.scheduler, options.figures
-    files = config_layers(config)
     tables = options.scene_options.study_tables(scene, options.effort, **options.settings)
-    tables |= options.axes([*stated, *files])
-    with collected_notes():  # also of what is found before the study begins
-        layers = study_layers(stated, files, tables)
-        seconds: dict[str, float] = {}
-        suffix = "-quick" if options.quick else ""
-        plan = checked_study(layers, tables)
-        folder = options.out or DEFAULT_OUT / f"{plan.name}{suffix}"
-        spreads = uncertainty_of(study, config, options.quick)
-        if MANY_CASES < (cases := number_of_cases(plan)) <= MAX_CASES:
-            common.verbosity.note(f"{cases} cases are checked, each by itself")
-        job = prepare(plan, options.variant)
-        asked, types = asked_of(options.uncertainty, options.sobol, options.smaller_than or (), spreads), 0
-        if asked is not None:
-            types, evaluations = check_types(
-                job.complete, [case.settings for case in job.combinations], asked, options.yes or options.dry_run
-            )
-        if options.dry_run:
-            answer(outline_document("study", study_outline(job, jobs, types), folder), options.json)
-            return
-        check_number(len(job.combinations), job.evaluations, options.yes)
-        names = (axes_files if job.complete.has_cases else report_files)(job.complete)
-        if asked is not None:
-            common.verbosity.note(f"{types} sensor types, at most {evaluations} evaluations")
-            names = names | uncertainty_files()
-        check_replaceable(folder, names)
-        with stages(seconds) as stage:
-            with said_what_is_kept(folder):
-                result = run_prepared(
-                    job,
-                    folder,
-                    jobs=jobs,
-                    scheduler=scheduler,
-                    progress=ready_to_draw(stage),
-                    agreed=options.yes,
-                    spreads=spreads,
-                    asked=asked,
-                )
-                stage("report")
-                first = result.cases[0]
-                drawing = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()
-                found = condition_regrets(result.study, result.curves)
-
-                def write_report() -> Path:
-                    return write(study_report(result, found, seconds, drawing, figures), folder, {"seconds": seconds}, figures)
-
-                report = keep_or_write("study", digest_of_report(result, figures), folder, write_report)
-            warned = set(result.warned)  # they are on stderr
-            if isinstance(result, CasesResult):
-                document = axes_document(result, found, warned)
-                common.verbosity.note(str(result.counts))
-            else:
-                document = study_document(result, warned)
-    answer(document, options.json, f"report: {report}")
-
-
-@contextmanager
-def said_what_is_kept(folder: Path) -> Iterator[None]:
-    """Add to an interruption, or the error of a full disk, how many evaluations of this study lie in its folder, if any.
-
-    A study rewrites a file of rows when it begins to evaluate, and leaves its own rows only. Those of a file that it has not
-    rewritten yet may be of other settings: they are not counted.
-    """
-    from pixsim.studies.table import Store
-
-    def files() -> dict[Path, int]:
-        path = folder / "results.csv"
-        return {path: path.stat().st_mtime_ns} if path.is_file() else {}
-
-    before = files()
-    try:
-        yield
-    except (KeyboardInterrupt, UnwritableError) as error:
-        kept = sum(len(Store(path).read_keys()) for path, time_ns in files().items() if before.get(path) != time_ns)
-        words = [f"{kept} finished evaluations are kept in '{folder}', and the same command continues from them"] if kept else []
-        if isinstance(error, KeyboardInterrupt):
-            raise KeyboardInterrupt(*words) from None
-        raise UnwritableError(" ".join([str(error), *(f"{text}." for text in words)])) from None
+    with stages() as (stage, seconds):
+        document, page = study_files(
+            study, tables, options.out, say=common.verbosity.note, progress=stage, seconds=seconds, **options.effort_and_output
+        )
+    answer(document, options.json, page)
 
 
 @app.command(sort_key=2)
@@ -477,45 +363,24 @@ def compare(
 
         answer(results_document(compare_results(*sensors)), options.json)
         return
-    from pixsim.report.compare import check_output, comparison_document, comparison_outline_document, comparison_page
-    from pixsim.show.render import write
-    from pixsim.studies.compare import run_prepared
-    from pixsim.studies.files import config_layers, read_study
-    from pixsim.studies.sensors import prepare
+    from pixsim.report.commands.compare import comparison_files
 
-    config = options.scene_options.config or []
     tables = options.scene_options.tables(options.effort, **options.settings)
-    tables |= options.axes([*([] if study is None else read_study(study, options.quick)), *config_layers(config)])
-    with collected_notes() as notes:
-        job = prepare(
+    with stages() as (stage, seconds):
+        document, page = comparison_files(
             sensors,
             scene,
+            tables,
+            options.out,
             study=study,
             match=match,
             repeats=repeats,
-            config=config,
-            options=tables,
             sensor=sensor,
-            variant=options.variant,
-            uncertainty=options.uncertainty,
-            sobol=options.sobol,
-            quick=options.quick,
-            smaller_than_um=options.smaller_than or (),
+            progress=stage,
+            seconds=seconds,
+            **options.effort_and_output,
         )
-        folder = options.out or DEFAULT_OUT / "-".join(job.names)
-        if options.dry_run:
-            answer(comparison_outline_document(job, folder), options.json)
-            return
-        check_output(job, folder)
-        seconds: dict[str, float] = {}
-        with output_folder(folder), stages(seconds) as stage:  # an invalid folder fails before the renders
-            result = run_prepared(
-                job, jobs=options.jobs, scheduler=options.scheduler, progress=stage, agreed=options.yes, out=folder
-            )
-            stage("report")
-            report = write(comparison_page(result, folder), folder, {"seconds": seconds}, options.figures)
-            document = comparison_document(result, notes)  # other notes are on stderr
-    answer(document, options.json, f"report: {report}")
+    answer(document, options.json, page)
 
 
 @app.command(sort_key=8)
@@ -540,18 +405,15 @@ def accuracy(
     """
     import_less()
     from pixsim.report.accuracy import FILES, accuracy_document
-    from pixsim.show.render import write
-    from pixsim.verification.ladder import measure_accuracy
+    from pixsim.verification.ladder import Accuracy, measure_accuracy
 
     settings = options.settings(display=display, seed=seed)
     folder = out or DEFAULT_OUT / f"{Path(scene).stem}-accuracy"
-    check_replaceable(folder, FILES)
-    with stages() as stage, output_folder(folder):  # an invalid folder fails before the work
-        result = measure_accuracy(scene, settings, quick=quick, sensor=sensor, variant=variant, progress=stage)
-        stage("report")
-        document = accuracy_document(result)
-        report = write(document, folder, figures=figures)
-    answer(document, json, f"report: {report}")
+
+    def measure(stage: Stage) -> Accuracy:
+        return measure_accuracy(scene, settings, quick=quick, sensor=sensor, variant=variant, progress=stage)
+
+    write_answer(measure, accuracy_document, folder, FILES, figures, json)
 
 
 @app.command(sort_key=6)
@@ -588,21 +450,16 @@ def datasheet(
     signal is raised. Writes datasheet.csv, summary.json, figures/*.svg and *.csv and report.html.
     """
     import_less()
-    from pixsim.measure.datasheet import datasheet_settings, make_datasheet
+    from pixsim.measure.datasheet import DataSheet, datasheet_settings, make_datasheet
     from pixsim.report.datasheet import FILES, datasheet_document, sheet_name
-    from pixsim.show.render import write
 
     tables = given({"pixel": pixel, "exposure": exposure})
     settings = datasheet_settings(pixel_file, config or [], tables.get("pixel"), tables.get("exposure"), seed)
-    folder = out or DEFAULT_OUT / sheet_name(settings.pixel)
-    check_replaceable(folder, FILES)
-    with output_folder(folder), stages() as stage:  # an invalid folder fails before the measurement
-        own = settings.pixel, settings.exposure
-        sheet = make_datasheet(*own, stage=stage, wavelength_nm=wavelength_nm, seed=settings.seed)
-        stage("report")
-        document = datasheet_document(sheet)
-        report = write(document, folder, figures=figures)
-    answer(document, json, f"report: {report}")
+
+    def measure(stage: Stage) -> DataSheet:
+        return make_datasheet(settings.pixel, settings.exposure, stage=stage, wavelength_nm=wavelength_nm, seed=settings.seed)
+
+    write_answer(measure, datasheet_document, out or DEFAULT_OUT / sheet_name(settings.pixel), FILES, figures, json)
 
 
 @app.command(sort_key=5)
@@ -669,9 +526,8 @@ def lens(
     figures/*.svg and *.csv.
     """
     import_less()
-    from pixsim.measure.lens import lens as traced
+    from pixsim.measure.lens import LensData, lens as trace
     from pixsim.report.lens import FILES, lens_document
-    from pixsim.show.render import write
 
     reading = given(
         {
@@ -680,10 +536,9 @@ def lens(
         }
     )  # fmt: skip
     how: LensOptions = checked(LensOptions, [Layer({"file": file, **reading})])
-    folder = out or DEFAULT_OUT / f"lens-{Path(file).stem}"
-    check_replaceable(folder, FILES)
-    with stages() as stage:
-        data = traced(
+
+    def measure(stage: Stage) -> LensData:
+        return trace(
             file,
             focal_length_mm=focal_length_mm,
             f_number=f_number,
@@ -693,18 +548,12 @@ def lens(
             object_distance_m=object_distance_m,
             wavelength_nm=wavelength_nm or (),
             pitch_um=pitch_um,
-            configuration=how.configuration,
-            semi_diameters=how.semi_diameters,
-            vignetting_factors=how.vignetting_factors,
-            glass_catalogues=how.glass_catalogues,
-            unknown_glass=how.unknown_glass,
             reflectance=reflectance,
             progress=stage,
+            **{name: getattr(how, name) for name in reading},
         )
-        stage("report")
-        document = lens_document(data)
-        report = write(document, folder, figures=figures)
-    answer(document, json, f"report: {report}")
+
+    write_answer(measure, lens_document, out or DEFAULT_OUT / f"lens-{Path(file).stem}", FILES, figures, json)
 
 
 @app.command(sort_key=7)
@@ -766,23 +615,21 @@ def sfr(
 
     Writes report.html, sfr.csv, sfr.svg, edge_spread.csv, edge_spread.svg and summary.json.
     """
-    from pixsim.measure.sfr import sfr as measured
+    from pixsim.measure.sfr import EdgeResponse, sfr as measure_sfr
     from pixsim.report.sfr import FILES, sfr_document
-    from pixsim.show.render import write
 
-    folder = out or DEFAULT_OUT / f"{image.stem}-sfr"
-    check_replaceable(folder, FILES)
-    response = measured(
-        image,
-        pitch_um=pitch_um,
-        channel=channel,
-        layout=layout,
-        black=black_level_dn,
-        saturation=saturation,
-        region=corners(region),
-    )
-    document = sfr_document(response)
-    answer(document, json, f"report: {write(document, folder, figures=figures)}")
+    def measure(_: Stage) -> EdgeResponse:
+        return measure_sfr(
+            image,
+            pitch_um=pitch_um,
+            channel=channel,
+            layout=layout,
+            black=black_level_dn,
+            saturation=saturation,
+            region=corners(region),
+        )
+
+    write_answer(measure, sfr_document, out or DEFAULT_OUT / f"{image.stem}-sfr", FILES, figures, json)
 
 
 def corners(region: str | None) -> tuple[int, int, int, int] | None:
@@ -847,39 +694,15 @@ def chart(
     With --colour-axis, one opponent channel of S-CIELAB changes, and the other two are constant. `pixsim run red_green.xml` renders
     the scene.
     """
-    from pixsim.scene import charts, colour_chart, own_chart
-    from pixsim.show.document import Document
+    from pixsim.report.chart import chart_document
 
-    of_target = {"shape": shape, "size_um": size_um, "contrast": contrast, "direction": direction}
-    of_target = {name: value for name, value in of_target.items() if value is not None}
-    if of_target and kind != "target":
-        raise invalid("--" + ", --".join(of_target).replace("_", "-"), f"with {kind}", "the chart target")
-    if colour_axis is not None:
-        if kind != "csf" or linear or aspect is not None:
-            raise invalid("--colour-axis", f"with {kind}{', --linear or --aspect' if kind == 'csf' else ''}", "the chart csf")
-        result = colour_chart.write_colour_axis(colour_axis, output, width, height, die_mm)
-        contrasts = ", ".join(f"{name} {value:+.3f}" for name, value in result["contrasts"].items())
-        line = f"{output} with slides {', '.join(result['slides'])}; contrasts up to {contrasts}"
-        line += f"; opponent channel ±{result['opponent_amplitude']:.3f} of white's luminance channel"
-        answer(Document("chart", "chart in colour", str(output), result, (line,)), json)
-        return
-    share = 0.0
-    if Path(kind).suffix.lower() in own_chart.SUFFIXES:
-        if not (width is height is die_mm is None):
-            got = f"with the picture '{kind}'"
-            raise invalid("--width, --height, --die-mm", got, "the charts of pixsim; pictures keep their size")
-        if aspect is not None and not 1e-3 <= aspect <= 1e3:
-            raise invalid("--aspect", f"{aspect:g}", "0.001 to 1000")
-        texels, share = own_chart.with_border(own_chart.read_luminance(kind, linear), 1.0 if aspect is None else aspect)
-    elif linear or aspect is not None:
-        raise invalid("--linear, --aspect", f"with the chart {kind}", "a picture")
-    else:
-        texels = charts.make_chart(kind, width, height, die_mm, **of_target)
-    charts.write_chart(output, texels)
-    result = {"file": str(output), "kind": Path(kind).name, "width": texels.shape[1], "height": texels.shape[0], "border": share}
-    border = f", {100 * share:.3g} % of them a grey border that keeps the picture's aspect" if share else ""
-    line = f"{result['width']} × {result['height']} texels in {output}{border}"
-    answer(Document("chart", "chart", str(output), result, (line,)), json)
+    options = given(
+        {
+            "width": width, "height": height, "die_mm": die_mm, "shape": shape, "size_um": size_um, "contrast": contrast,
+            "direction": direction, "colour_axis": colour_axis, "linear": linear or None, "aspect": aspect,
+        }
+    )  # fmt: skip
+    answer(chart_document(kind, output, options), json)
 
 
 @app.command(sort_key=11)
@@ -909,22 +732,9 @@ def template(
 
     Example: pixsim template study --of pixel-size -o my_study.toml
     """
-    from pixsim.base.files import write_new
-    from pixsim.cli import templates
-    from pixsim.show.document import Document
+    from pixsim.report.templates import template_document
 
-    if of is not None and kind != "study":
-        raise invalid("--of", f"'{of}' with {kind}", "a packaged study, with `pixsim template study`")
-    text = templates.template(kind) if of is None else templates.packaged_study(of)
-    if output is None:
-        answer(Document("template", "template", kind, {"template": text}, (text.rstrip(),)), json)
-        return
-    if output.suffix != ".toml":
-        raise invalid("--output", f"'{output}'", "a name that ends in .toml")
-    write_new(output, text)
-    use = f"pixsim run csf --config {output}" if kind == "sensor" else f"pixsim study {output}"
-    line = f"{output} written. Replace the numbers, then run: {use}"
-    answer(Document("template", "template", kind, {"file": str(output), "use": use}, (line,)), json)
+    answer(template_document(kind, of, output), json)
 
 
 @app.command(sort_key=12)
@@ -933,10 +743,10 @@ def schema(kind: Annotated[str, Parameter(help="sensor or study.")] = "sensor", 
 
     Example: pixsim schema study > study.schema.json
     """
-    from pixsim.cli import templates
+    from pixsim.report.templates import json_schema
     from pixsim.show.document import Document
 
-    answer(Document("schema", "JSON schema", kind, templates.json_schema(kind)), json)
+    answer(Document("schema", "JSON schema", kind, json_schema(kind)), json)
 
 
 @app.command(sort_key=14)
@@ -957,29 +767,9 @@ def cache(
     the cache). The least recently used entries are removed first. Mitsuba's kernels and Matplotlib's fonts are in the same folder,
     as kinds of their own.
     """
-    from pixsim.base import cache as entry_cache
     from pixsim.report.inventory import cache_document
 
-    kinds = cache_summary()["kinds"]
-    if kind is not None and kind not in kinds:
-        raise invalid("--kind", f"'{kind}'", ", ".join(kinds) or "none, since the cache is empty")
-    freed = entry_cache.clear(kind) if clear else None
-    answer(cache_document(cache_summary(kind), freed), json)
-
-
-def cache_summary(kind: str | None = None) -> dict[str, Any]:
-    """Folder and size limit of the cache, and the entries and bytes of each kind, or of one."""
-    from pixsim.base import cache as entry_cache
-
-    kinds: dict[str, dict[str, int]] = {}
-    for name in [kind] if kind else [None, *entry_cache.HELPERS]:
-        for entry in entry_cache.entries(name):
-            total = kinds.setdefault(entry.kind, {"entries": 0, "size_bytes": 0})
-            total["entries"] += 1
-            total["size_bytes"] += entry.size_bytes
-    size_bytes, limit_bytes = sum(total["size_bytes"] for total in kinds.values()), entry_cache.limit_bytes()
-    found = {"folder": str(entry_cache.folder()), "limit_bytes": limit_bytes, "size_bytes": size_bytes}
-    return {**found, "kinds": dict(sorted(kinds.items())), "foreign_bytes": entry_cache.foreign_bytes()}
+    answer(cache_document(kind, clear), json)
 
 
 @app.command(sort_key=10)

@@ -23,7 +23,7 @@ LIMIT_S = 20.0  # of the test render, which takes 1 to 3 s
 
 
 @dataclass(frozen=True)
-class Finding:
+class Diagnosis:
     """One line of the report; the names are keys of `pixsim doctor --json`.
 
     mark : OK, NOTE (renders work nevertheless) or PROBLEM
@@ -39,7 +39,7 @@ class Finding:
     facts: dict[str, Any] = field(default_factory=dict)
 
 
-def examine(out: Path, limit_s: float | None = None) -> list[Finding]:
+def examine(out: Path, limit_s: float | None = None) -> list[Diagnosis]:
     """Examine this machine, in about 5 s; a graphics card has time limits of its own.
 
     out : output folder to examine; it need not exist
@@ -54,9 +54,9 @@ def examine(out: Path, limit_s: float | None = None) -> list[Finding]:
     packages = {name: metadata.version(name) for name in _required()}
     python = f"{platform.python_version()} ({sys.executable}), {platform.platform()}, {platform.machine()}"
     return [
-        Finding("pixsim", OK, f"{VERSION} in {resources.files('pixsim')}", facts={"version": VERSION}),
-        Finding("Python", OK, python, facts={"version": platform.python_version()}),
-        Finding("packages", OK, ", ".join(f"{name} {version}" for name, version in packages.items()), facts=packages),
+        Diagnosis("pixsim", OK, f"{VERSION} in {resources.files('pixsim')}", facts={"version": VERSION}),
+        Diagnosis("Python", OK, python, facts={"version": platform.python_version()}),
+        Diagnosis("packages", OK, ", ".join(f"{name} {version}" for name, version in packages.items()), facts=packages),
         _llvm(),
         _graphics(card),
         _test_render(LIMIT_S if limit_s is None else limit_s),
@@ -67,7 +67,7 @@ def examine(out: Path, limit_s: float | None = None) -> list[Finding]:
     ]
 
 
-def doctor_document(findings: list[Finding]) -> Document:
+def doctor_document(findings: list[Diagnosis]) -> Document:
     """Return the answer of `pixsim doctor`: a line for each finding, and below it the command that mends it."""
     rows: list[tuple[str, ...]] = []
     for finding in findings:
@@ -91,72 +91,72 @@ def _required() -> list[str]:
     return [name for name in names if any(metadata.distributions(name=name))]
 
 
-def _llvm() -> Finding:
+def _llvm() -> Diagnosis:
     try:
         path, reason = variant.find_llvm()
     except PixsimError as error:
-        return Finding("LLVM", PROBLEM, str(error), f"unset {variant.LLVM_VARIABLE}")
+        return Diagnosis("LLVM", PROBLEM, str(error), f"unset {variant.LLVM_VARIABLE}")
     if path is None:
         found = f"{reason}; renders take several times as long"
-        return Finding("LLVM", NOTE, found, f"pip install {variant.LLVM_WHEEL}", {"path": None})
-    return Finding("LLVM", OK, f"{path} ({reason})", facts={"path": path})
+        return Diagnosis("LLVM", NOTE, found, f"pip install {variant.LLVM_WHEEL}", {"path": None})
+    return Diagnosis("LLVM", OK, f"{path} ({reason})", facts={"path": path})
 
 
-def _graphics(card: graphics.GraphicsTrial) -> Finding:
+def _graphics(card: graphics.GraphicsTrial) -> Diagnosis:
     facts = {"card": card.card, "fault": card.fault}
     if card.fault is None:
-        return Finding("graphics card", OK, card.card, facts=facts)
+        return Diagnosis("graphics card", OK, card.card, facts=facts)
     mark = NOTE if card.tried_s else OK  # none is required
-    return Finding("graphics card", mark, f"not used: {card.fault}", facts=facts)
+    return Diagnosis("graphics card", mark, f"not used: {card.fault}", facts=facts)
 
 
-def _test_render(limit_s: float) -> Finding:
+def _test_render(limit_s: float) -> Diagnosis:
     trial = attempt("render", limit_s=limit_s)
     facts = {**trial.facts, "seconds": trial.seconds}
     name = trial.facts.get("variant")
     if fault := picture_fault(trial):
         works_without = name != variant.SCALAR and picture_fault(attempt("render", variant.SCALAR, limit_s=limit_s)) is None
         mend = f"pixsim run csf --variant {variant.SCALAR}" if works_without else "pip install --force-reinstall mitsuba drjit"
-        return Finding("test render", PROBLEM, fault, mend, facts)
+        return Diagnosis("test render", PROBLEM, fault, mend, facts)
     found = (
         f"csf with {name}, {facts['threads']} threads: {facts['mean_lx']:.3f} lx, closed form {facts['expected_lx']:.3f} lx, "
         f"in {trial.seconds:.1f} s"
     )
-    return Finding("test render", OK, found, facts=facts)
+    return Diagnosis("test render", OK, found, facts=facts)
 
 
-def _processors() -> Finding:
+def _processors() -> Diagnosis:
     processors = machine.processors()
     found = f"{processors.usable} usable of {processors.cores}"
-    return Finding("processors", OK, found, facts=vars(processors))
+    return Diagnosis("processors", OK, found, facts=vars(processors))
 
 
-def _memory() -> Finding:
+def _memory() -> Diagnosis:
     memory = machine.memory()
     found = f"{_gib(memory.usable)} usable of {_gib(memory.total)}"
-    return Finding("memory", OK, found, facts=vars(memory))
+    return Diagnosis("memory", OK, found, facts=vars(memory))
 
 
 def _gib(size: int | None) -> str:
     return "unknown" if size is None else f"{size / cache.GIB:.1f} GiB"
 
 
-def _cache() -> Finding:
+def _cache() -> Diagnosis:
     try:
         folder = cache.folder()
         limit_bytes = cache.limit_bytes()
         size_bytes = sum(entry.size_bytes for entry in cache.entries())
     except PixsimError as error:  # which says how to mend it
-        return Finding("cache", PROBLEM, str(error))
+        return Diagnosis("cache", PROBLEM, str(error))
     fault, _ = machine.check_folder(folder)
     found = f"{folder}: {_gib(size_bytes)} of {_gib(limit_bytes)}"
     if fault:
-        return Finding("cache", NOTE, f"{found}; it cannot be written ({fault})", f"export {FOLDER_VARIABLE}=FOLDER")
-    return Finding("cache", OK, found, facts={"folder": str(folder), "size_bytes": size_bytes, "limit_bytes": limit_bytes})
+        return Diagnosis("cache", NOTE, f"{found}; it cannot be written ({fault})", f"export {FOLDER_VARIABLE}=FOLDER")
+    return Diagnosis("cache", OK, found, facts={"folder": str(folder), "size_bytes": size_bytes, "limit_bytes": limit_bytes})
 
 
-def _results(out: Path) -> Finding:
+def _results(out: Path) -> Diagnosis:
     fault, free_bytes = machine.check_folder(out)
     if fault:
-        return Finding("results", PROBLEM, f"{out} cannot be written ({fault})", "choose another folder with --out")
-    return Finding("results", OK, f"{out}: {_gib(free_bytes)} free", facts={"free_bytes": free_bytes})
+        return Diagnosis("results", PROBLEM, f"{out} cannot be written ({fault})", "choose another folder with --out")
+    return Diagnosis("results", OK, f"{out}: {_gib(free_bytes)} free", facts={"free_bytes": free_bytes})

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import difflib
-import re
 import shlex
-from collections.abc import Sequence
 from pathlib import Path
 
 from cyclopts import Argument, CycloptsError, MissingArgumentError, UnknownOptionError, UnusedCliTokensError
 
 from pixsim.base.problems import names_meant
-from pixsim.base.toml import packaged
-from pixsim.cli.options import app, scene_names
+from pixsim.cli.options import app
 from pixsim.viewer.setting import Run
 
-OF_FILES_TO_WRITE = (".toml", ".exr", ".xml")  # which commands with -o write
+# What takes a file of this suffix, where a command has it.
+TAKES = {".toml": ("--config", "-o"), ".xml": ("--scene", "-o"), ".exr": ("-o",), ".zmx": ("--lens",)}
+OTHER_NAME = {"-o": "--out", "--out": "-o"}  # a folder, or a single file
 
 
 def refusal(error: CycloptsError) -> str:
@@ -25,15 +23,12 @@ def refusal(error: CycloptsError) -> str:
     if isinstance(error, UnusedCliTokensError) and error.unused_tokens:
         first, *others = error.unused_tokens
         got = f"the further words '{first}' and {len(others)} more" if others else f"the further word '{first}'"
-        allowed, hint = f"{' and '.join([*words, 'options'])}", hint_of_word(first, options)
-        text = f"{command}: got {got}; allowed: {allowed}.{hint and ' '}{hint}"
+        text = f"{command}: got {got}; allowed: {' and '.join([*words, 'options'])}. {hint_of_word(first, options)}".rstrip()
     elif isinstance(error, MissingArgumentError) and error.argument and error.argument.index is not None:
         text = f"{command}: got no {word_of(error.argument)}; allowed: {error.argument.parameter.help}"
-    elif hint := hint_of_folder(error.root_input_tokens or [], options):  # before a missing -o, which --out was to be
-        text = f"{command}: got --out, which is for folders; allowed: {', '.join(sorted(options))}. {hint}"
     elif isinstance(error, UnknownOptionError) and error.token.keyword:
         name = error.token.keyword.partition("=")[0]
-        if hint := hint_of_option(name, options) or ("" if has_near_option(name, text) else hint_of_parameter(name, options)):
+        if hint := hint_of_option(name, options, proposed="Did you mean" in text):
             text = f"Unknown option: {name}. {hint}"
     return f"{text}\nTry 'pixsim{command and ' '}{command} --help'."
 
@@ -50,61 +45,34 @@ def word_of(argument: Argument) -> str:
 
 
 def hint_of_word(word: str, options: set[str]) -> str:
-    """Return where a word belongs that is no argument of a command; empty if nothing is known.
-
-    options : names of those of the command
-    """
+    """Return where a word belongs that is no argument of a command with these options; empty if that is not plain."""
     name, equals, value = word.partition("=")
-    suffix, option = Path(word).suffix.lower(), f"--{name.lower().replace('_', '-')}"
+    option = f"--{name.lower().replace('_', '-')}"
     if option in options:
         return f"Did you mean {option}{equals}{shlex.quote(value) if value else ''}?"
     if name and equals and "-D" in options:
         return f"Each parameter of the scene goes after a -D of its own: -D {shlex.quote(word)}"
-    kinds = [
-        ("a file of settings", "--config", suffix == ".toml" or word in packaged("data/sensors")),
-        ("a file to write", "-o", suffix in OF_FILES_TO_WRITE),
-        ("a scene", "--scene", suffix == ".xml" or word in scene_names()),
-        ("a lens", "--lens", suffix == ".zmx" or word in packaged("data/lenses")),
-        ("a technology", "--pixel.technology", word in packaged("data/technologies")),
-    ]
-    for kind, option, fits in kinds:
-        if fits and option in options:
-            return f"{kind[0].upper()}{kind[1:]} goes after {option}: {option} {shlex.quote(word)}"
-    if not word.replace(".", "").isdecimal():
-        return ""
-    return "An option takes one word: a pair of numbers is written as 1936x1216, and a list of them as 2.4,3.45 without blanks."
+    for option in TAKES.get(Path(word).suffix.lower(), ()):
+        if option in options:
+            return f"Such a file goes after {option}: {option} {shlex.quote(word)}"
+    if word.replace(".", "").isdecimal():
+        return "An option takes one word: a pair of numbers is written as 1936x1216, and a list as 2.4,3.45 without blanks."
+    return ""
 
 
-def hint_of_option(name: str, options: set[str]) -> str:
-    """Return the options of a command that an unknown one, such as --camera.resolution, means; empty if there are none."""
+def hint_of_option(name: str, options: set[str], proposed: bool) -> str:
+    """Return what an unknown option, such as --camera.resolution, means for a command with these options.
+
+    proposed : whether Cyclopts proposes another one
+
+    Empty if nothing better is known.
+    """
     *above, last = name.lstrip("-").replace("-", "_").split(".")
     meant = ["--" + ".".join(path).replace("_", "-") for path in names_meant(Run.__name__, above, last)]
-    meant += ["--out"] * (name == "-o")
-    begun = sorted(option for option in options if option.startswith(f"{name}-"))
-    known = [option for option in meant if option in options] or begun
-    return f"Did you mean {' or '.join(known)}?" if known else ""
-
-
-def has_near_option(name: str, text: str) -> bool:
-    """Whether the option that Cyclopts proposes in its message is similar without the dashes, which it compares too."""
-    proposed = re.search(r"Did you mean (--[\w.-]+)", text)
-    return bool(proposed and difflib.get_close_matches(name.lstrip("-"), [proposed[1].lstrip("-")]))
-
-
-def hint_of_folder(words: Sequence[str], options: set[str]) -> str:
-    """Return how the file of --out is written, for a command that writes a single file; empty for other command lines."""
-    at = next((at for at, word in enumerate(words) if word.partition("=")[0] == "--out"), None)
-    if at is None or "-o" not in options or "--out" in options:
-        return ""
-    file = words[at].partition("=")[2] or next(iter(words[at + 1 :]), "FILE")
-    return f"A file to write goes after -o: -o {shlex.quote(file)}"
-
-
-def hint_of_parameter(name: str, options: set[str]) -> str:
-    """Return how a parameter of the scene is set, for an unknown option that may be one."""
-    parameter = name.lstrip("-").replace("-", "_")
-    return (
-        f"A parameter of the scene goes after -D: -D {parameter}=VALUE"
-        if "-D" in options and name.startswith("--") and "." not in name
-        else ""
-    )
+    meant += [option for option in sorted(options) if option.startswith(f"{name}-")]
+    meant += [OTHER_NAME[name]] if name in OTHER_NAME else []
+    if meant := [option for option in meant if option in options]:
+        return f"Did you mean {' or '.join(meant)}?"
+    if "-D" in options and not (proposed or above) and name.startswith("--"):
+        return f"A parameter of the scene goes after -D: -D {last}=VALUE"
+    return ""

@@ -8,7 +8,7 @@ import os
 import re
 import shutil
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, is_dataclass, make_dataclass
 from pathlib import Path
@@ -18,9 +18,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union, get
 from cyclopts import App, Parameter, Token, convert
 
 from pixsim.base import progress
-from pixsim.base.errors import PixsimError, did_you_mean, invalid, printable
-from pixsim.base.files import private_folder
-from pixsim.base.layers import Layer
+from pixsim.base.errors import PixsimError, printable
+from pixsim.base.files import check_replaceable, output_folder, private_folder
 from pixsim.base.notes import note_of
 from pixsim.base.progress import Stage
 from pixsim.base.records import Record, as_list
@@ -36,12 +35,10 @@ from pixsim.sensor.pixel_options import NO_TECHNOLOGY, NUMBERS, Pixel
 from pixsim.studies.settings import PitchRange
 from pixsim.viewer.develop_options import Develop
 from pixsim.viewer.display_options import Display
-from pixsim.viewer.merging import merged
 from pixsim.viewer.metric_options import Detectability, MetricOptions
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import run_settings
 
-DEFAULT_OUT = Path("pixsim-out")
 QUIET, VERBOSE = ("-q", "--quiet"), ("-v", "--verbose")
 HELP, HELP_ALL = ("--help", "-h"), "--help-all"
 app = App(
@@ -97,15 +94,15 @@ def set_cache_folders() -> None:
 
 
 @contextmanager
-def stages(seconds: dict[str, float] | None = None) -> Iterator[Stage]:
-    """`pixsim.base.progress.stages` with the verbosity of the command."""
+def stages() -> Iterator[tuple[Stage, dict[str, float]]]:
+    """`pixsim.base.progress.stages` with the verbosity of the command, and the wall times that it collects."""
     gc.freeze()  # what was imported stays; looking at it takes 0.1 s of `pixsim run`
     gc.enable()
-    durations_s = {} if seconds is None else seconds
-    with progress.stages(durations_s, quiet=verbosity.quiet) as stage:
-        yield stage
-    if verbosity.verbose:
-        verbosity.note("\n".join(f"{name}: {duration_s:.2f} s" for name, duration_s in durations_s.items()))
+    seconds: dict[str, float] = {}
+    with progress.stages(seconds, quiet=verbosity.quiet) as stage:
+        yield stage, seconds
+    if verbosity.verbose and seconds:
+        verbosity.note("\n".join(f"{name}: {duration_s:.2f} s" for name, duration_s in seconds.items()))
 
 
 OF_A_TECHNOLOGY = "from the technology"
@@ -281,7 +278,9 @@ def option_table(record: type[Record], name: str, inside: str = "") -> object:
 
 
 if TYPE_CHECKING:
+    from pixsim.base.result import Result
     from pixsim.show.document import Document
+    from pixsim.show.pages import Figures
 
     CameraTable: TypeAlias = object
     LensTable: TypeAlias = object
@@ -432,17 +431,21 @@ class StudyOptions:
     json: Json = False
 
     @property
+    def effort_and_output(self) -> dict[str, Any]:
+        """The options that are no settings, by the names that `report.commands` has for them."""
+        names = "quick", "jobs", "scheduler", "uncertainty", "sobol", "variant", "dry_run", "figures"
+        return {name: getattr(self, name) for name in names} | {
+            "config": self.scene_options.config or [],
+            "axes": self.axis or [],
+            "smaller_than_um": self.smaller_than or [],
+            "agreed": self.yes,
+        }
+
+    @property
     def settings(self) -> dict[str, Any]:
         """The options that are tables and fields of a study, beside those of `SceneOptions`."""
         names = "display", "pitch", "seed", "refine", "tolerance_e", "noise_budget"
         return {name: getattr(self, name) for name in names} | vars(self.judges)
-
-    def axes(self, studies: Sequence[Layer]) -> dict[str, Any]:
-        """Return the table of --axis over the axes of a study; none without it.
-
-        studies : the study's own files, and others over them
-        """
-        return {"axis": axes_of(self.axis, merged(studies).get("axis", []))} if self.axis else {}
 
 
 NO_OPTIONS, NO_EFFORT, NO_JUDGES, NO_STUDY_OPTIONS = SceneOptions(), EffortOptions(), Judges(), StudyOptions()
@@ -464,81 +467,36 @@ def definitions(pairs: list[str] | None, linear: bool = False) -> dict[str, str]
     return table or None
 
 
-def axes_of(texts: Sequence[str], known: Sequence[Any]) -> list[Any]:
-    """Axes of a study: those of its file, and those of --axis NAME=VALUES, which replace the values of an axis of that name.
-
-    NAME is an axis of the file or a dotted setting; settings joined by + take each value together. VALUES are v1,v2,… or
-    from:to:count, with :log for equal ratios. Raises PixsimError for a text that is neither.
-    """
-    if not isinstance(known, list):
-        raise invalid("axis", repr(known), "a list of tables [[axis]]")
-    axes = [dict(axis) if isinstance(axis, dict) else axis for axis in known]
-    by_name = {axis["name"]: axis for axis in axes if isinstance(axis, dict) and isinstance(axis.get("name"), str)}
-    given: set[str] = set()
-    for text in texts:
-        name, equals, values = (part.strip() for part in text.partition("="))
-        if not (name and equals and values):
-            raise invalid("--axis", f"'{text}'", "NAME=v1,v2,… or NAME=from:to:count, as in --axis camera.f_number=2,2.8,4")
-        if name in given:
-            raise invalid("--axis", f"'{name}' twice", "each axis once", "Give all of its values in one --axis.")
-        given.add(name)
-        table = _values_of(text, values)
-        if name in by_name:
-            table = _of_labels(text, table, by_name[name].get("values"))
-            for old in ("values", "from", "to", "count", "spacing"):
-                by_name[name].pop(old, None)
-            by_name[name].update(table)
-        else:
-            axes.append({"name": " and ".join(name.split("+")), "set": [part.strip() for part in name.split("+")]} | table)
-    return axes
-
-
-def _values_of(text: str, values: str) -> dict[str, Any]:
-    """Table of the values in the text of an --axis."""
-    ends = values.split(":")
-    if len(ends) in (3, 4) and "," not in values:
-        try:
-            table: dict[str, Any] = {"from": float(ends[0]), "to": float(ends[1]), "count": int(ends[2])}
-        except ValueError:
-            raise invalid("--axis", f"'{text}'", "numbers in from:to:count, as in --axis camera.f_number=2:8:5:log") from None
-        if ends[3:] and ends[3] not in ("log", "linear"):
-            raise invalid("--axis", f"'{text}'", "log or linear after from:to:count")
-        return table | ({"spacing": ends[3]} if ends[3:] else {})
-    parts = [part.strip() for part in values.split(",")]
-    if "" in parts:
-        raise invalid("--axis", f"'{text}'", "a value on both sides of every comma, as in --axis camera.f_number=2,2.8,4")
-    return {"values": [_value(part) for part in parts]}
-
-
-def _of_labels(text: str, table: dict[str, Any], known: object) -> dict[str, Any]:
-    """The values of a known axis that the text of an --axis names by their labels, if they have some."""
-    tables = [value for value in known if isinstance(value, dict)] if isinstance(known, list) else []
-    if not tables:
-        return table
-    by_label = {str(value.get("label")): value for value in tables}
-    names = [str(name) for name in table.get("values", ["a range"])]
-    if unknown := [name for name in names if name not in by_label]:
-        hint = did_you_mean(unknown[0], by_label)
-        raise invalid("--axis", f"{unknown[0]} in '{text}'", f"labels of its values: {', '.join(by_label)}", hint)
-    return {"values": [by_label[name] for name in names]}
-
-
-def _value(text: str) -> float | int | str:
-    """Number, if the text is one."""
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            pass  # not a number of this kind
-    return text
-
-
-def answer(document: Document, as_json: bool, *lines: str) -> None:
-    """Print a document as text as wide as the terminal, and lines below it, or as JSON."""
+def answer(document: Document, as_json: bool, page: Path | None = None) -> None:
+    """Print a document as text as wide as the terminal, with the path of its page below it, or as JSON."""
     from pixsim.show.render import WIDTH, json, text
 
     width = shutil.get_terminal_size((WIDTH, 0)).columns
+    lines = [] if page is None else [f"report: {page}"]
     say((json(document) if as_json else "\n".join([text(document, width), *lines])) + "\n", as_json)
+
+
+def write_answer(
+    measure: Callable[[Stage], Result],
+    document_of: Callable[[Any], Document],
+    folder: Path,
+    files: Collection[str],
+    figures: Figures,
+    as_json: bool,
+) -> None:
+    """Measure something, write its files, and print it.
+
+    files : names of all that may be written; one that pixsim did not write is refused before anything is measured
+    """
+    from pixsim.show.render import write
+
+    check_replaceable(folder, files)
+    with stages() as (stage, _), output_folder(folder):
+        result = measure(stage)
+        stage("report")
+        document = document_of(result)
+        page = write(document, folder, figures=figures)
+    answer(document, as_json, page)
 
 
 def say(text: str, as_json: bool = False) -> None:

@@ -650,10 +650,9 @@ def _read_zmx(path: Path, options: PrescriptionOptions, own: Mapping[str, Glass]
     return _checked(prescription.scaled(scale), f"'{path}'", lambda index: blocks[index + 1].place(path))
 
 
-# Operands of several configurations -> the line of a surface that they set.
-OF_SURFACE = {"THIC": "DISZ", "CRVT": "CURV", "CONN": "CONI", "GLSS": "GLAS", "SDIA": "DIAM"}
-# Those that set a number of a list in the head, by the number of the field.
-OF_LIST = {"XFIE": ("XFLN", "XFLD"), "YFIE": ("YFLN", "YFLD"), **{f"F{name[:3]}": (name, name) for name in FACTORS}}
+# Operands of several configurations that are read: a thickness, the aperture, and a field -> its list in newer and older files.
+OF_FIELDS = {"XFIE": ("XFLN", "XFLD"), "YFIE": ("YFLN", "YFLD")}
+SET_HERE = frozenset({"THIC", "APER", *OF_FIELDS})
 # Those that change no ray: comments, weights, coatings, labels.
 WITHOUT_EFFECT = frozenset(
     re.findall(
@@ -671,12 +670,12 @@ OTHER_OPERANDS = frozenset(
         AFOC APDF APDT APDX APDY APMN APMX APTP CADX CADY CATX CATY CATZ CAOR CBDX CBDY CBTX CBTY CBTZ CBOR CPCN CROR CRSR
         CSP1 CSP2 EDVA FLTP GPEX GPEY GPIU GPJU GPJX GPJY GPPX GPPY GQPO IGNR IGNM MABB MCSD MDPG MIND MTFU NCOT NGLS NPAR
         NPOS NPRO PRAM PRES PAR1 PAR2 PAR3 PAR4 PAR5 PAR6 PAR7 PAR8 PSCX PSCY PSCZ PSHX PSHY PSHZ PSP1 PSP2 PSP3 PUCN PXAR
-        PYAR PZAR RAAM SATP SWCN TCEX TELE TEMP TSP1 TSP2 TSP3 UDAF
+        PYAR PZAR RAAM SATP SWCN TCEX TELE TEMP TSP1 TSP2 TSP3 UDAF CRVT CONN GLSS SDIA STPS WAVE PRWV FVDX FVDY FVCX FVCY
+        FVAN
         """,
     )
 )
-SET_HERE = frozenset({*OF_SURFACE, *OF_LIST, "APER", "STPS", "WAVE", "PRWV"})
-SOLVES = ("MAZH", "TCOM", "TOLE")  # of a thickness: the focus of the axial ray, the sum of two, and of all from a surface on
+FOCUS, OTHER_SOLVES = "MAZH", ("TCOM", "TOLE")  # of a thickness: the focus of the axial ray, and sums of several
 
 
 def _blocks(path: Path) -> tuple[_Block, list[_Block], list[_Line]]:
@@ -771,63 +770,37 @@ def _configured(
         hint = f"Make configuration {wanted} the active one in OpticStudio, and save the lens again."
         raise invalid(f"'{path}': configuration {wanted}", ", ".join(unread), expected, hint)
     solved = []
-    for index, block in enumerate(blocks[1:-1], 1):
-        for line in block.all(*SOLVES):
+    for index, block in enumerate(blocks[1:-1]):
+        for line in block.all(FOCUS, *OTHER_SOLVES):
             where = f"{block.place(path)}, line {line.number}"
-            if line.keyword == "MAZH":
-                if _zmx_number(where, line, 0, 0.0) or _zmx_number(where, line, 1, 0.0):
-                    numbers = " ".join(f"{float(word):g}" for word in line.words[:2])
-                    got = f"MAZH {numbers}, a thickness solved for another height than 0 or a real ray"
-                    raise invalid(where, got, "MAZH 0 0, the paraxial focus", "Make the configuration the active one.")
-                solved.append(index - 1)
-            else:
-                start = int(_zmx_number(where, line))
-                between = range(start, index) if line.keyword == "TOLE" else (start,)
-                if not 0 <= start < index:
-                    raise invalid(f"{where}: {line.keyword}", start, f"a surface before {index}")
-                sizes = [_zmx_number(where, size) if (size := blocks[one].first("DISZ")) else 0.0 for one in between]
-                block.put("DISZ", repr(_zmx_number(where, line, 1) - sum(sizes)))
+            numbers = [_zmx_number(where, line, place, 0.0) for place in (0, 1)]
+            if line.keyword != FOCUS or any(numbers):
+                got = f"the solve {line.keyword} {' '.join(f'{number:g}' for number in numbers)} of a thickness"
+                raise invalid(where, got, f"{FOCUS} 0 0, the paraxial focus", "Make the configuration the active one.")
+            solved.append(index)
     return solved
 
 
 def _set(path: Path, head: _Block, blocks: list[_Block], line: _Line, value: str) -> None:
-    """Set what an operand sets. Raises PixsimError if there is no such surface, field or wavelength."""
+    """Set what an operand sets. Raises PixsimError if there is no such surface or field."""
     where, keyword, at = f"'{path}', line {line.number}", line.keyword, int(line.words[0])
-    if keyword != "GLSS":
-        _zmx_number(where, replace(line, words=[value.replace("INFINITY", "0")] if keyword == "THIC" else [value]))
-    if keyword in OF_SURFACE or keyword == "STPS":
-        surface = int(float(value)) if keyword == "STPS" else at
-        if not 0 <= surface < len(blocks):
-            raise invalid(f"{where}: {keyword}", f"surface {surface}", f"0 to {len(blocks) - 1}")
-        if keyword == "STPS":
-            for block in blocks:
-                block.lines = [one for one in block.lines if one.keyword != "STOP"]
-            blocks[surface].put("STOP", "")
-        elif keyword == "GLSS":
-            blocks[surface].lines = [one for one in blocks[surface].lines if one.keyword != "GLAS"]
-            if value not in ("", '""'):
-                blocks[surface].lines.append(_Line(line.number, "GLAS", [value, "0"]))
-        else:
-            blocks[surface].put(OF_SURFACE[keyword], value)
-            if keyword == "SDIA" and (semi := blocks[surface].first("DIAM")) and semi.words[1:2] == []:
-                blocks[surface].put("DIAM", FIXED[0], 1)
-    elif keyword in OF_LIST:
+    is_infinite = keyword == "THIC" and value == "INFINITY"
+    if not is_infinite:
+        _zmx_number(where, replace(line, words=[value]))
+    if keyword == "THIC":
+        if not at < len(blocks):
+            raise invalid(f"{where}: {keyword}", f"surface {at}", f"0 to {len(blocks) - 1}")
+        blocks[at].put("DISZ", value)
+    elif keyword in OF_FIELDS:
         if not 1 <= at <= MOST_FIELDS:
             raise invalid(f"{where}: {keyword}", f"field {at}", f"1 to {MOST_FIELDS}")
-        name, older = OF_LIST[keyword]
+        name, older = OF_FIELDS[keyword]
         head.put(older if head.first(name) is None and head.first(older) else name, value, at - 1)
-    elif keyword == "APER":
+    else:
         stated = next((name for name in ("ENPD", "FNUM", "OBNA") if head.first(name)), None)
         if stated is None:
-            raise invalid(f"{where}: APER", "an aperture that floats by the size of the stop (FLOA)", "ENPD, FNUM or OBNA")
+            raise invalid(f"{where}: {keyword}", "an aperture that floats by the size of the stop (FLOA)", "ENPD, FNUM or OBNA")
         head.put(stated, value)
-    elif keyword == "PRWV":
-        head.put("PWAV", value)
-    else:
-        of_wave = next((one for one in head.all("WAVM") if one.words[:1] == [str(at)]), None)
-        if of_wave is None:
-            raise invalid(f"{where}: WAVE", f"wavelength {at}", "one of the lines WAVM")
-        of_wave.words[1:2] = [value]
 
 
 def _focus(surfaces: Sequence[Surface], object_distance: float, primary_nm: float) -> float:

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from pixsim.base import cache
+from pixsim.base.errors import invalid
 from pixsim.base.files import MIB
 from pixsim.show.document import Answer, Block, Document, DocumentTable, Listed
 
@@ -13,30 +15,53 @@ if TYPE_CHECKING:
     from pixsim.sensor.camera_data import CameraEntry
 
 
-def cache_document(summary: Mapping[str, Any], freed_bytes: int | None = None) -> Document:
-    """Return the answer of `pixsim cache`.
+def cache_document(kind: str | None = None, clear: bool = False) -> Document:
+    """Return the answer of `pixsim cache`: what the cache holds, after its entries were removed if asked for.
 
-    summary : folder, limit and sizes of the entries
-    freed_bytes : by entries that were removed; None if none were to be
+    kind : of entries; None means all
+
+    Raises PixsimError for a kind of which there are no entries.
     """
+    kinds = cache_summary()["kinds"]
+    if kind is not None and kind not in kinds:
+        raise invalid("--kind", f"'{kind}'", ", ".join(kinds) or "none, since the cache is empty")
+    freed_bytes = cache.clear(kind) if clear else 0
+    summary = cache_summary(kind)
 
-    def mib(size_bytes: int) -> str:
-        return f"{size_bytes / MIB:.1f} MiB"
-
-    blocks: list[Block] = []
-    if freed_bytes is not None:
-        blocks.append(f"removed {mib(freed_bytes)}")
-    blocks.append(Answer(f"{summary['folder']}: {mib(summary['size_bytes'])} of {mib(summary['limit_bytes'])}"))
-    rows = [
-        (name, f"{kind['entries']} entr{'y' if kind['entries'] == 1 else 'ies'}", mib(kind["size_bytes"]))
-        for name, kind in summary["kinds"].items()
-    ]
+    size = f"{summary['folder']}: {_mib(summary['size_bytes'])} of {_mib(summary['limit_bytes'])}"
+    blocks: list[Block] = [f"removed {_mib(freed_bytes)}"] if clear else []
+    blocks.append(Answer(size))
+    rows = []
+    for name, total in summary["kinds"].items():
+        entries = "1 entry" if total["entries"] == 1 else f"{total['entries']} entries"
+        rows.append((name, entries, _mib(total["size_bytes"])))
     if rows:
         blocks.append(DocumentTable("entries", (), rows))
-    if summary["foreign_bytes"]:
-        blocks.append(Listed([f"{mib(summary['foreign_bytes'])} of other files, or of another release, which pixsim leaves alone"]))
-    data = {**summary} | ({} if freed_bytes is None else {"freed_bytes": freed_bytes})
+    if foreign_bytes := summary["foreign_bytes"]:
+        blocks.append(Listed(f"{_mib(foreign_bytes)} of other files, or of another release, which pixsim leaves alone"))
+    data = summary | ({"freed_bytes": freed_bytes} if clear else {})
     return Document("cache", "cache", summary["folder"], data, blocks)
+
+
+def cache_summary(kind: str | None = None) -> dict[str, Any]:
+    """Return folder and size limit of the cache, and the entries and bytes of each kind, or of one."""
+    kinds: dict[str, dict[str, int]] = {}
+    for name in [kind] if kind else [None, *cache.HELPERS]:
+        for entry in cache.entries(name):
+            total = kinds.setdefault(entry.kind, {"entries": 0, "size_bytes": 0})
+            total["entries"] += 1
+            total["size_bytes"] += entry.size_bytes
+    return {
+        "folder": str(cache.folder()),
+        "limit_bytes": cache.limit_bytes(),
+        "size_bytes": sum(total["size_bytes"] for total in kinds.values()),
+        "kinds": dict(sorted(kinds.items())),
+        "foreign_bytes": cache.foreign_bytes(),
+    }
+
+
+def _mib(size_bytes: int) -> str:
+    return f"{size_bytes / MIB:.1f} MiB"
 
 
 def cameras_document(cameras: Sequence[CameraEntry], sources: Mapping[str, str]) -> Document:

@@ -513,7 +513,6 @@ def _study(table: dict[str, Any], where: list[str]) -> Study:
 
 
 MAX_CASES = 10_000
-MANY_CASES = 2000  # whose check takes seconds
 MAX_UNASKED = 100_000  # evaluations of a study with axes
 
 

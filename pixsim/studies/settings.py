@@ -26,7 +26,7 @@ from pydantic import (
 from pixsim.base.bounds import brief
 from pixsim.base.caller import setting
 from pixsim.base.door import checked_methods
-from pixsim.base.errors import invalid, name_fault
+from pixsim.base.errors import did_you_mean, invalid, name_fault
 from pixsim.base.layers import Layer, nested
 from pixsim.base.notes import Note, warn
 from pixsim.base.problems import BRANCHES
@@ -802,3 +802,77 @@ def _as_study_table(table: dict[str, Any]) -> dict[str, Any]:
     """Convert a sensor's table to a study's: as `_without_sensor_only`, and with [scene] as scene.parameters."""
     scene, table = table.get("scene"), _without_sensor_only(table)
     return table | {"scene": {"parameters": scene}} if isinstance(scene, dict) else table
+
+
+def with_axes(options: Mapping[str, Any], texts: Sequence[str], layers: Sequence[Layer]) -> dict[str, Any]:
+    """Return options of a study with the axes of --axis over those of its layers; as they are without --axis."""
+    return {**options, "axis": axes_of(texts, merged(layers).get("axis", []))} if texts else dict(options)
+
+
+def axes_of(texts: Sequence[str], file_axes: Sequence[Any]) -> list[Any]:
+    """Axes of a study: those of its file, and those of --axis NAME=VALUES, which replace the values of an axis of that name.
+
+    NAME is an axis of the file or a dotted setting; settings joined by + take each value together. VALUES are v1,v2,… or
+    from:to:count, with :log for equal ratios. Raises PixsimError for a text that is neither.
+    """
+    if not isinstance(file_axes, list):
+        raise invalid("axis", repr(file_axes), "a list of tables [[axis]]")
+    axes = [dict(axis) if isinstance(axis, dict) else axis for axis in file_axes]
+    by_name = {axis["name"]: axis for axis in axes if isinstance(axis, dict) and isinstance(axis.get("name"), str)}
+    names: set[str] = set()
+    for text in texts:
+        name, equals, values = (part.strip() for part in text.partition("="))
+        if not (name and equals and values):
+            raise invalid("--axis", f"'{text}'", "NAME=v1,v2,… or NAME=from:to:count, as in --axis camera.f_number=2,2.8,4")
+        if name in names:
+            raise invalid("--axis", f"'{name}' twice", "each axis once", "Give all of its values in one --axis.")
+        names.add(name)
+        table = _values_of(text, values)
+        if name in by_name:
+            table = _of_labels(text, table, by_name[name].get("values"))
+            for old in ("values", "from", "to", "count", "spacing"):
+                by_name[name].pop(old, None)
+            by_name[name].update(table)
+        else:
+            axes.append({"name": " and ".join(name.split("+")), "set": [part.strip() for part in name.split("+")]} | table)
+    return axes
+
+
+def _values_of(text: str, values: str) -> dict[str, Any]:
+    """Table of the values in the text of an --axis."""
+    ends = values.split(":")
+    if len(ends) in (3, 4) and "," not in values:
+        try:
+            table: dict[str, Any] = {"from": float(ends[0]), "to": float(ends[1]), "count": int(ends[2])}
+        except ValueError:
+            raise invalid("--axis", f"'{text}'", "numbers in from:to:count, as in --axis camera.f_number=2:8:5:log") from None
+        if ends[3:] and ends[3] not in ("log", "linear"):
+            raise invalid("--axis", f"'{text}'", "log or linear after from:to:count")
+        return table | ({"spacing": ends[3]} if ends[3:] else {})
+    parts = [part.strip() for part in values.split(",")]
+    if "" in parts:
+        raise invalid("--axis", f"'{text}'", "a value on both sides of every comma, as in --axis camera.f_number=2,2.8,4")
+    return {"values": [_value(part) for part in parts]}
+
+
+def _of_labels(text: str, table: dict[str, Any], values: object) -> dict[str, Any]:
+    """The values of an axis of a file that the text of an --axis names by their labels, if they have some."""
+    tables = [value for value in values if isinstance(value, dict)] if isinstance(values, list) else []
+    if not tables:
+        return table
+    by_label = {str(value.get("label")): value for value in tables}
+    names = [str(name) for name in table.get("values", ["a range"])]
+    if unknown := [name for name in names if name not in by_label]:
+        hint = did_you_mean(unknown[0], by_label)
+        raise invalid("--axis", f"{unknown[0]} in '{text}'", f"labels of its values: {', '.join(by_label)}", hint)
+    return {"values": [by_label[name] for name in names]}
+
+
+def _value(text: str) -> float | int | str:
+    """Number, if the text is one."""
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            pass  # not a number of this kind
+    return text

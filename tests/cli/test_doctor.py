@@ -17,7 +17,7 @@ from helpers.processes import HANG_S
 
 from pixsim.base import machine
 from pixsim.cli import doctor
-from pixsim.cli.doctor import NOTE, OK, PROBLEM, Finding, doctor_document
+from pixsim.cli.doctor import NOTE, OK, PROBLEM, Diagnosis, doctor_document
 from pixsim.optics.camera import Camera
 from pixsim.scene.variants import checks, graphics, trial, variant
 from pixsim.show import render
@@ -249,8 +249,8 @@ def test_cache_without_home_is_problem(monkeypatch: pytest.MonkeyPatch):
 
 def test_report_wraps_text_but_not_commands():
     mend = "export A=" + "x" * 200
-    bad = Finding("bad", PROBLEM, "word " * 60, mend)
-    findings = [Finding("good", OK, "text"), bad, Finding("c", NOTE, "-")]
+    bad = Diagnosis("bad", PROBLEM, "word " * 60, mend)
+    findings = [Diagnosis("good", OK, "text"), bad, Diagnosis("c", NOTE, "-")]
     lines = render.text(doctor_document(findings), 80).splitlines()
     assert lines[0].split() == ["ok", "good", "text"]
     assert lines[1].split()[:3] == ["problem", "bad", "word"]

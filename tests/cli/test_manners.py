@@ -58,7 +58,7 @@ def test_run_invalid_files_reports_all_errors(tmp_path: Path) -> None:
 )
 def test_main_exception_sets_exit_code(failure: BaseException, code: int, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Codes 0 and 2 are checked in other tests."""
-    monkeypatch.setattr("pixsim.studies.run.prepare", Mock(side_effect=failure))
+    monkeypatch.setattr("pixsim.report.commands.run.prepare", Mock(side_effect=failure))
     found, out, err = command("run csf")
     assert (found, out) == (code, "")
     assert err.startswith(f"pixsim: {message}")

@@ -59,7 +59,7 @@ def test_every_option_has_an_argument_of_its_name(command: str) -> None:
 
 @pytest.mark.parametrize("command", FUNCTIONS)
 def test_every_result_can_be_shown_and_written(command: str) -> None:
-    function, _ = FUNCTIONS[command]
+    function = inspect.unwrap(FUNCTIONS[command][0])
     for name in function.__annotations__["return"].split(" | "):
         kind = vars(sys.modules[function.__module__])[name]
         assert issubclass(kind, Result)

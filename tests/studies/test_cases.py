@@ -22,14 +22,13 @@ import pixsim
 from pixsim.base import cache
 from pixsim.base.errors import PixsimError
 from pixsim.base.layers import nested
-from pixsim.cli.options import axes_of
 from pixsim.report.study_facts import study_notes
 from pixsim.studies import prepare as preparation
 from pixsim.studies.design import BASE, MAX_CASES, cases_of, check_number, pixel_of
 from pixsim.studies.files import load_study
 from pixsim.studies.prepare import prepare
 from pixsim.studies.result import StudyResult
-from pixsim.studies.settings import Axis, Study
+from pixsim.studies.settings import Axis, Study, axes_of
 from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.merging import merge
 from pixsim.viewer.without_effect import STREAM

@@ -17,7 +17,7 @@ import pixsim
 from pixsim.base.toml import packaged, read_toml
 from pixsim.base.units import UNITS, unit_of
 from pixsim.cli import options
-from pixsim.cli.templates import allowed, json_schema, template
+from pixsim.report.templates import allowed, json_schema, template
 from pixsim.sensor.motion_options import VELOCITIES
 from pixsim.sensor.pixel_options import DATA_SHEET, STANDS_FOR, excluded_by
 from pixsim.sensor.spread import sheet_uncertainty

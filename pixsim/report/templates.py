@@ -5,15 +5,18 @@ from __future__ import annotations
 import json
 import textwrap
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from pixsim.base.errors import did_you_mean, invalid
+from pixsim.base.files import write_new
 from pixsim.base.records import Record
 from pixsim.base.toml import packaged
 from pixsim.base.units import unit_of
 from pixsim.optics.camera import Camera
 from pixsim.sensor.pixel_options import DATA_SHEET, NUMBERS
 from pixsim.sensor.spread import MAY_BE_UNCERTAIN, Spread
+from pixsim.show.document import Document
 from pixsim.studies.settings import Study
 from pixsim.viewer.setting import Run
 
@@ -86,6 +89,28 @@ def template(kind: str) -> str:
         if (kind, name) == ("sensor", "pixel"):
             lines += [f"## {UNCERTAINTY}:{UNCERTAINTY_EXAMPLE}"]
     return "\n".join(lines) + "\n"
+
+
+def template_document(kind: str, of: str | None, output: Path | None) -> Document:
+    """Return the answer of `pixsim template`, with the text itself unless it is written to a file.
+
+    kind : sensor or study
+    of : name of a packaged study, which is copied
+
+    Raises PixsimError for another kind or study, and if the file exists or cannot be written.
+    """
+    if of is not None and kind != "study":
+        raise invalid("--of", f"'{of}' with {kind}", "a packaged study, with `pixsim template study`")
+    text = template(kind) if of is None else packaged_study(of)
+    if output is None:
+        return Document("template", "template", kind, {"template": text}, (text.rstrip(),))
+
+    if output.suffix != ".toml":
+        raise invalid("--output", f"'{output}'", "a name that ends in .toml")
+    write_new(output, text)
+    use = f"pixsim run csf --config {output}" if kind == "sensor" else f"pixsim study {output}"
+    line = f"{output} written. Replace the numbers, then run: {use}"
+    return Document("template", "template", kind, {"file": str(output), "use": use}, (line,))
 
 
 def packaged_study(name: str) -> str:

@@ -1,0 +1,69 @@
+"""`pixsim run`: one picture and its files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pixsim.base.files import check_replaceable, output_folder, write_made_from
+from pixsim.base.notes import warn
+from pixsim.base.progress import Stage
+from pixsim.report.commands import DEFAULT_OUT
+from pixsim.report.kept import kept_run
+from pixsim.report.outline import outline_document, run_outline
+from pixsim.report.run import Irradiance, RunFiles, digest_of_run, run_document, run_page
+from pixsim.show.document import Document
+from pixsim.show.render import text, write
+from pixsim.studies.run import check_raw, light_run, prepare, score_run
+from pixsim.viewer.setting import Run
+
+
+def run_files(
+    scene: str,
+    settings: Run,
+    out: Path | None,
+    *,
+    formats: Sequence[str],
+    irradiance: Irradiance,
+    dry_run: bool,
+    progress: Stage,
+    seconds: dict[str, float],
+    **how: Any,
+) -> tuple[Document, Path | None]:
+    """Write the files of a run to a folder, unless it holds them. Returns the answer and the page; no page of a dry run.
+
+    out : folder; None means one named by the scene
+    formats : of the raw frame, besides EXR
+    irradiance : what irradiance.exr holds
+    progress, seconds : stages, and where their wall times are collected
+    how : the other keywords of `pixsim.studies.run.prepare`
+
+    Raises PixsimError for invalid input and for a folder that cannot be written, before anything is rendered.
+    """
+    folder = out or DEFAULT_OUT / Path(scene).stem
+    suffixes = [f".{suffix}" for suffix in formats]
+    check_raw(settings, suffixes)
+    files = RunFiles(tuple(suffixes), irradiance, settings.noise_budget)
+    if not dry_run:
+        check_replaceable(folder, files.names(how["frames"]))
+    prepared = prepare(scene, settings, **how)
+    if dry_run:
+        return outline_document("run", run_outline(prepared), folder), None
+
+    with output_folder(folder):
+        rendered = light_run(prepared, progress)
+        made_from = digest_of_run(rendered, files)
+        if kept := kept_run(folder, made_from):
+            document, warned = kept
+            for note in warned:
+                if note not in rendered.warned:  # the others were given now
+                    warn(note)
+            return document, folder / "report.html"
+
+        result = score_run(rendered, progress)
+        page = write(run_page(result, files, progress("write")), folder, {"seconds": seconds})
+        document = run_document(result, warned=result.warned)
+        said: dict[str, list[Any]] = {"lines": text(document).splitlines(), "warned": [note.as_dict() for note in result.warned]}
+        write_made_from(folder, "run", made_from, said)
+    return document, page

@@ -1,0 +1,139 @@
+"""`pixsim study`: the best pixel size and the files of its study."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from pixsim.base.errors import UnwritableError
+from pixsim.base.files import check_replaceable
+from pixsim.base.notes import collected_notes
+from pixsim.base.progress import Stage
+from pixsim.report.axes import axes_document, axes_files, study_report
+from pixsim.report.commands import DEFAULT_OUT
+from pixsim.report.kept import digest_of_report, keep_or_write
+from pixsim.report.outline import outline_document, study_outline
+from pixsim.report.study import report_files, study_document
+from pixsim.report.uncertainty import uncertainty_files
+from pixsim.show.document import Document
+from pixsim.show.figures import ready_to_draw
+from pixsim.show.pages import Figures
+from pixsim.show.render import write
+from pixsim.studies.design import check_number
+from pixsim.studies.dry_run import fitting_jobs
+from pixsim.studies.engine import Workers, workers_here
+from pixsim.studies.files import checked_study, config_layers, read_study, uncertainty_of
+from pixsim.studies.prepare import asked_of, check_types, prepare
+from pixsim.studies.regret import condition_regrets
+from pixsim.studies.result import CasesResult
+from pixsim.studies.settings import study_layers, with_axes
+from pixsim.studies.study import run_prepared
+from pixsim.studies.table import Store
+
+
+def study_files(
+    name: str,
+    options: Mapping[str, Any],
+    out: Path | None,
+    *,
+    config: Sequence[Path],
+    axes: Sequence[str],
+    quick: bool,
+    uncertainty: int | None,
+    sobol: int | None,
+    smaller_than_um: Sequence[float],
+    jobs: int | None,
+    scheduler: str | None,
+    variant: str | None,
+    agreed: bool,
+    dry_run: bool,
+    figures: Figures,
+    progress: Stage,
+    seconds: dict[str, float],
+    say: Callable[[str], None],
+) -> tuple[Document, Path | None]:
+    """Write the files of a study to a folder. Returns the answer and the page; no page of a dry run.
+
+    options : tables and fields of a study, over those of its file and of `config`
+    out : folder; None means one named by the study
+    axes : NAME=VALUES each, over those of the files
+    progress, seconds : stages, and where their wall times are collected
+    say : takes a line on what is about to be computed
+    The other keywords are those of `pixsim.study`.
+
+    Raises PixsimError for invalid input and for a folder that cannot be written, before anything is rendered.
+    """
+    stated = read_study(name, quick)
+    files = config_layers(config)
+    options = with_axes(options, axes, [*stated, *files])
+    with collected_notes():  # also of what is found before the study begins
+        plan = checked_study(study_layers(stated, files, options), options)
+        job = prepare(plan, variant)
+        spreads = uncertainty_of(name, config, quick)
+        asked = asked_of(uncertainty, sobol, smaller_than_um, spreads)
+        types = evaluations = 0
+        if asked is not None:
+            cases = [case.settings for case in job.combinations]
+            types, evaluations = check_types(job.complete, cases, asked, agreed or dry_run)
+        folder = out or DEFAULT_OUT / f"{plan.name}{'-quick' if quick else ''}"
+        if dry_run:
+            return outline_document("study", study_outline(job, jobs, types), folder), None
+
+        check_number(len(job.combinations), job.evaluations, agreed)
+        names = (axes_files if job.complete.has_cases else report_files)(job.complete)
+        if asked is not None:
+            say(f"{types} sensor types, at most {evaluations} evaluations")
+            names = names | uncertainty_files()
+        check_replaceable(folder, names)
+        with said_what_is_kept(folder):
+            result = run_prepared(
+                job,
+                folder,
+                jobs=jobs,
+                scheduler=scheduler,
+                progress=ready_to_draw(progress),
+                agreed=agreed,
+                spreads=spreads,
+                asked=asked,
+            )
+            progress("report")
+            first = result.cases[0]
+            drawing = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()
+            regrets = condition_regrets(result.study, result.curves)
+
+            def write_report() -> Path:
+                return write(study_report(result, regrets, seconds, drawing, figures), folder, {"seconds": seconds}, figures)
+
+            page = keep_or_write("study", digest_of_report(result, figures), folder, write_report)
+        warned = set(result.warned)  # they are on stderr
+        if isinstance(result, CasesResult):
+            say(str(result.counts))
+            return axes_document(result, regrets, warned), page
+        return study_document(result, warned), page
+
+
+@contextmanager
+def said_what_is_kept(folder: Path) -> Iterator[None]:
+    """Add to an interruption, or the error of a full disk, how many evaluations of this study lie in its folder, if any.
+
+    A study rewrites a file of rows when it begins to evaluate, and leaves its own rows only. Those of a file that it has not
+    rewritten yet may be of other settings: they are not counted.
+    """
+    rows = folder / "results.csv"
+
+    def written_ns() -> int:
+        return rows.stat().st_mtime_ns if rows.is_file() else 0
+
+    before_ns = written_ns()
+    try:
+        yield
+    except (KeyboardInterrupt, UnwritableError) as error:
+        count = len(Store(rows).read_keys()) if written_ns() != before_ns else 0
+        if not count:
+            raise
+        words = f"{count} finished evaluations are kept in '{folder}', and the same command continues from them"
+        if isinstance(error, KeyboardInterrupt):
+            raise KeyboardInterrupt(words) from None
+        raise UnwritableError(f"{error} {words}.") from None
