@@ -437,7 +437,7 @@ class StudyOptions:
         return {name: getattr(self, name) for name in names} | {
             "config": self.scene_options.config or [],
             "axes": self.axis or [],
-            "smaller_than_um": self.smaller_than or [],
+            "smaller_than_um": self.smaller_than or (),
             "agreed": self.yes,
         }
 
