@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.digits import MAX_DIGITS, exposure_time, number, percent, rounded, with_error, within_error
+from pixsim.base.digits import MAX_DIGITS, exposure_time, number, percent, told_apart, with_error, within_error
 from pixsim.base.notes import Note
 from pixsim.base.schema import result_data
 from pixsim.base.tables import rows_csv
@@ -185,7 +185,7 @@ def spectrogram(map_: Array, axis: int) -> tuple[Array, Array]:
 
 @figure("spectrograms", "Spectrograms along rows (horizontal) and columns (vertical).")
 def spectrogram_plate(sheet: DataSheet) -> Drawing:
-    """Square roots of the power spectra along rows and columns."""
+    """Square roots of the power spectra along rows and columns, drawn from the first period on."""
     table: dict[str, Array] = {}
     panels = []
     for name, deviation in deviations(sheet).items():
@@ -197,7 +197,8 @@ def spectrogram_plate(sheet: DataSheet) -> Drawing:
             lines.append(Line(x, y, f"{name.upper()}, {direction}", MARKED_LINE))
         unit = "e⁻" if name == "dsnu" else "%"
         panels.append(Panel("frequency (periods per pixel)", f"standard deviation ({unit})", lines))
-    return draw_panels(table, panels)
+    figure, _ = draw_panels({column: values[1:] for column, values in table.items()}, panels)
+    return figure, table
 
 
 @figure("profiles", "Means of columns and rows minus the overall mean.")
@@ -276,10 +277,8 @@ def datasheet_notes(sheet: DataSheet) -> list[Note]:
             "the dark frames are not clipped at 0 DN"
         )
     if readout.adc_range_e < readout.full_well_e:
-        texts.append(
-            f"the ADC clips at {rounded(readout.adc_range_e, 3)} e-, before the well of {rounded(readout.full_well_e, 3)} e-: the "
-            "saturation capacity is that of the ADC"
-        )
+        clip_e, well_e = told_apart(readout.adc_range_e, readout.full_well_e, 3)
+        texts.append(f"the ADC clips at {clip_e} e-, before the well of {well_e} e-: the saturation capacity is that of the ADC")
     if sheet.transfer.limited:
         texts.append(
             f"quantisation-limited: σ²_y.dark = {sheet.dark.variance_dn2:.3g} DN² is below 0.24 DN². σ_d is an upper bound, and K "

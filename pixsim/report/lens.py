@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.digits import f_stop, number
+from pixsim.base.digits import UNKNOWN, f_stop, number
 from pixsim.base.errors import one_line
 from pixsim.base.schema import result_data
 from pixsim.base.tables import Column, plain, table_csv
@@ -362,7 +362,8 @@ def field_table(data: LensData) -> DocumentTable:
     columns["distortion_percent"] = 100 * columns["distortion"]
     cells = [[number(value, FIELD_DIGITS) for value in columns[name]] for name in FIELD_HEADS]
     for frequency in data.asked_lp_per_mm:
-        cells.append(["/".join(number(round(value, 2)) for value in both) for both in data.mtf_at(frequency)])
+        both = data.mtf_at(frequency)
+        cells.append([UNKNOWN if math.isnan(t) else f"{t:.2f}/{s:.2f}" for t, s in both])
     heads = (*FIELD_HEADS.values(), *(f"MTF {frequency:.4g}/mm\nt/s" for frequency in data.asked_lp_per_mm))
     caption = (
         f"Spots and MTF (tangential/sagittal) of {'rays' if data.geometric else 'waves'} of all wavelengths with equal weights, "
