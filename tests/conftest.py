@@ -29,7 +29,7 @@ from helpers.tiny import WHOLE_CHART, tiny
 
 import pixsim
 from pixsim.base.files import FOLDER_VARIABLE
-from pixsim.base.locks import TEMPORARY
+from pixsim.base.locks import UNFINISHED
 from pixsim.sensor.readout import Frame
 from pixsim.studies.result import StudyResult
 from pixsim.viewer.chain import ImagingChain
@@ -101,7 +101,7 @@ def machine_as_it_was(own_places: tuple[Path, Path]) -> Iterator[None]:
     yield
     after = devices(before[0]), *map(files_below, own_places)
     found = {name: changes(*each) for name, *each in zip(("/dev", "HOME", "TMPDIR"), before, after, strict=True)}
-    found["TMPDIR"] = [words for words in found["TMPDIR"] if not words.startswith(TEMPORARY)]
+    found["TMPDIR"] = [words for words in found["TMPDIR"] if not words.startswith(UNFINISHED)]
     assert not any(found.values()), found
 
 

@@ -35,7 +35,7 @@ import pixsim
 from pixsim.base import cache
 from pixsim.base.errors import CONTROL, PixsimError, invalid
 from pixsim.base.files import FOLDER_VARIABLE, MAX_FILE_VARIABLE, digest_of
-from pixsim.base.schema import KEY
+from pixsim.base.schema import KEY, SCHEMA
 from pixsim.cli.options import SceneOptions
 from pixsim.light.exr import read_channels
 from pixsim.measure import datasheet
@@ -44,7 +44,7 @@ from pixsim.scene.scene import load_scene
 from pixsim.sensor.technology import load_technology
 from pixsim.show import figures
 from pixsim.studies.files import load_study
-from pixsim.studies.table import COLUMNS, Store
+from pixsim.studies.table import CHECK, COLUMNS, Store, check_of
 
 DATA = Path(pixsim.__file__).parent / "data"
 FEW = {"shape": (60, 60), "stack_frames": 8}  # size of a data sheet's experiment whose numbers do not matter
@@ -541,12 +541,15 @@ def test_read_envi_hostile_header_raises(tmp_path, old, new):
 
 # --- Results and cache -----------------------------------------------------------------------------------------------------
 
+HEAD = ",".join([*COLUMNS, KEY, CHECK]).encode() + b"\n"
+ENDLESS = f"key1,0.35um,1.5,1e18{',1.5' * (len(COLUMNS) - 4)},{SCHEMA}"  # of a repeat that no study has
+
 
 @pytest.mark.parametrize(
     "content",
-    [b"\0" * 1000, b"\xff\xfe\n" * 9, ",".join([*COLUMNS, KEY]).encode() + b"\n" + b"x" * 500_000 + b"\n", b'"' + b"\n" * 1000,
+    [b"\0" * 1000, b"\xff\xfe\n" * 9, HEAD + b"x" * 500_000 + b"\n", b'"' + b"\n" * 1000,
      b"\r" * 99,
-     ",".join([*COLUMNS, KEY]).encode() + b"\nkey1,0.35um,1.5,1e18" + b",1.5" * 10 + b",1\n"],
+     HEAD + f"{ENDLESS},{check_of(ENDLESS)}\n".encode()],
 )  # fmt: skip
 def test_results_file_damaged_rows_are_dropped(tmp_path, content):
     (tmp_path / "results.csv").write_bytes(content)

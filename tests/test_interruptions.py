@@ -10,17 +10,14 @@ import random
 import re
 import shlex
 import signal
-import struct
 import subprocess
 import sys
 import tempfile
-import termios
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -30,11 +27,9 @@ from helpers.processes import HANG_S
 from helpers.tiny import tiny_toml
 
 from pixsim.base.errors import PixsimError, UnwritableError
-from pixsim.base.files import FOLDER_VARIABLE, output_folder, publishing, replacing, told_of_finished_files
-from pixsim.base.locks import LOCK, PARTIAL_FILE, PARTIAL_FOLDER, TEMPORARY, locked_folder, temporary_folder, unfinished
-from pixsim.cli import process as cli_process
+from pixsim.base.files import FOLDER_VARIABLE, LIST, output_folder, publishing, read_list, replacing
+from pixsim.base.locks import LOCK, UNFINISHED, locked_folder, temporary_folder, unfinished
 from pixsim.report.commands.study import said_what_is_kept
-from pixsim.scene.charts import write_chart
 from pixsim.studies.table import COLUMNS, Store
 
 SMALL = "--resolution 64 --display.dots 64"
@@ -125,7 +120,9 @@ def interrupt(name: str, number: signal.Signals, of_group: bool, delay_s: float,
         f"{name}, {number.name} to the {'group' if of_group else 'process'} after {delay_s:.3f} s: {process.returncode}\n{err}{out}"
     )
     written = {str(path.relative_to(folder / "out")) for path in (folder / "out").rglob("*")}
-    if process.returncode == 0:  # it had ended
+    if LIST in written:  # it had moved its files
+        assert written >= set(read_list(folder / "out")["files"]), seen
+    elif process.returncode == 0:  # it had ended
         assert "report.html" in written, seen
     else:
         assert (process.returncode, out) == (128 + number, ""), seen
@@ -280,11 +277,11 @@ COMMAND_WITH_A_SIGNAL = """
 import os, pathlib, signal, sys
 from pixsim import cli
 from pixsim.base import files
-from pixsim.cli.process import interruption
+from pixsim.cli import options
 from pixsim.scene import charts
 
 def interrupted(*args, **others):
-    if "{name}" != "replace" or pathlib.Path(args[1]).parent.name == "out":  # no unfinished file
+    if {owner} is not os or pathlib.Path(args[1]).name == "report.html":
         signal.raise_signal(signal.SIGTERM)
     return original(*args, **others)
 
@@ -293,146 +290,31 @@ setattr({owner}, "{name}", interrupted)
 sys.argv = ["pixsim", *"{line}".split()]
 cli.command()
 """
-# A command, what it calls before the first file is moved, and its files.
-FILES_OF = [
-    ("lens singlet --out out", "files.digest_of", {"report.html", "summary.json", "provenance.json"}),
-    ("template sensor -o out/sensor.toml", "pathlib.Path.write_text", {"sensor.toml"}),
-    ("chart siemens_star --width 16 --height 16 -o out/star.exr", "charts.writing", {"star.exr"}),
-    (
-        "chart csf --colour-axis red-green --width 16 --height 16 -o out/rg.xml",
-        "pathlib.Path.write_bytes",
-        {"rg.xml", "rg_red.exr", "rg_green.exr", "rg_blue.exr"},
-    ),
-]
+LENS, LENS_FILES = "lens singlet --out out", {"report.html", "summary.json", LIST}
 
 
 @pytest.mark.parametrize(
-    ("line", "place", "files"),
+    ("line", "place", "files", "code"),
     [
-        *((line, before, set()) for line, before, _ in FILES_OF),
-        *((line, "pathlib.Path.replace", files) for line, _, files in FILES_OF),  # while files are moved
-        (FILES_OF[0][0], "interruption.printing", FILES_OF[0][2]),  # of the result
+        (LENS, "files.resolved", set(), 143),  # before the first file is moved
+        (LENS, "os.replace", LENS_FILES, 143),  # while files are moved
+        (LENS, "options.printable", LENS_FILES, 0),  # while the result is printed
+        ("template sensor -o out/sensor.toml", "pathlib.Path.write_text", set(), 143),
+        ("chart siemens_star --width 16 --height 16 -o out/star.exr", "charts.writing", set(), 143),
     ],
 )
-def test_signal_beside_finished_files_ends_or_not(line: str, place: str, files: set[str], tmp_path: Path) -> None:
-    """A command had moved all its files, or the first of them, and gave the exit code of an interruption."""
+def test_signal_beside_files_leaves_all_or_none(line: str, place: str, files: set[str], code: int, tmp_path: Path) -> None:
     owner, _, name = place.rpartition(".")
     (tmp_path / "out").mkdir()
     process = forked(COMMAND_WITH_A_SIGNAL.format(owner=owner, name=name, line=line), tmp_path)
     out, err = process.communicate(timeout=HANG_S)
-    assert process.returncode == (0 if files else 128 + signal.SIGTERM)
-    assert bool(out) is bool(files)
-    assert ("pixsim: terminated" in notes_of(err)) is not bool(files)
-    written = {path.name for path in (tmp_path / "out").rglob("*")}
+    assert (process.returncode, bool(out)) == (code, code == 0), err
+    assert ("pixsim: terminated" in notes_of(err)) is (code != 0)
+    written = {path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*") if path.is_file()}
     assert written >= files if files else not written
+    if files:
+        assert written == {LIST, *read_list(tmp_path / "out")["files"]}
     assert not list((tmp_path / "tmp").iterdir())
-
-
-@pytest.mark.parametrize("line", [LINES["run"], LINES["study"].replace("--jobs 2", "--jobs 1")])
-def test_signal_beside_files_that_are_kept_changes_no_exit_code(line: str, tmp_path: Path) -> None:
-    (tmp_path / "tiny.toml").write_text(tiny_toml(), encoding="utf-8")
-    for _ in ("written", "kept"):
-        script = COMMAND_WITH_A_SIGNAL.format(owner="interruption", name="printing", line=line)  # of the result
-        process = forked(script, tmp_path)
-        out, err = process.communicate(timeout=HANG_S)
-        assert (process.returncode, "report.html" in out) == (0, True), err
-
-
-def test_patience_after_the_files_begins_with_a_signal(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Moving them to a slow disk may take long: the first Ctrl-C does not end the process in its middle."""
-    now_s, left = [0.0], []
-    monkeypatch.setattr(cli_process, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
-    monkeypatch.setattr(cli_process.Interruption, "_leave", lambda self: left.append(now_s[0]))
-    one = cli_process.Interruption()
-    one.begin()
-    one.end_or_raise()
-    for now_s[0] in (100.0, 104.0, 106.0):
-        one._receive(signal.SIGINT, None)
-    assert left == [106.0]
-
-
-# With streams as under PYTHONUNBUFFERED, whose writes to a pipe may be partial.
-HELD_UP = """
-import io, sys
-from pixsim import cli
-from pixsim.cli import process
-process.PATIENCE_S = {patience_s}
-sys.stdout = io.TextIOWrapper(open(1, "wb", 0, closefd=False), write_through=True)
-sys.argv = ["pixsim", "lens", "singlet", "--json", "--out", "out"]
-cli.command()
-"""
-
-
-def unread_bytes(pipe: object) -> int:
-    (count,) = struct.unpack("i", fcntl.ioctl(pipe, termios.FIONREAD, bytes(4)))
-    return count
-
-
-@proc
-@pytest.mark.skipif(not hasattr(fcntl, "F_SETPIPE_SZ"), reason="pipes of one page are Linux's")
-@pytest.mark.parametrize("reads", [True, False])
-def test_signal_while_a_reader_holds_up_the_result(reads: bool, tmp_path: Path) -> None:
-    """The text was cut, with exit code 0, or the process waited for ever."""
-    process = forked(HELD_UP.format(patience_s=60.0 if reads else 0.2), tmp_path)
-    size = fcntl.fcntl(process.stdout, fcntl.F_SETPIPE_SZ, 4096)
-    wait_for(lambda: unread_bytes(process.stdout) == size or process.poll() is not None)
-    process.send_signal(signal.SIGTERM)
-    if reads:
-        time.sleep(0.1)
-        out, err = process.communicate(timeout=HANG_S)
-        assert (process.returncode, "schema" in json.loads(out)) == (0, True), err
-    else:
-        assert process.wait(HANG_S) == 128 + signal.SIGTERM
-        process.communicate()
-    assert (tmp_path / "out" / "report.html").is_file()
-    assert not list((tmp_path / "tmp").iterdir())
-
-
-def test_command_whose_terminal_is_closed_beside_its_files_has_ended(tmp_path: Path) -> None:
-    script = COMMAND_WITH_A_SIGNAL.format(owner="pathlib.Path", name="replace", line="template sensor -o out/sensor.toml")
-    script = script.replace("signal.SIGTERM)", "signal.SIGHUP); os.close(terminal)").replace(
-        "original =", "terminal, own = os.openpty(); [os.dup2(own, number) for number in (1, 2)]\noriginal =", 1
-    )
-    (tmp_path / "out").mkdir()
-    # Whoever runs the tests may ignore SIGHUP.
-    process = started(script, tmp_path, preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL))
-    process.communicate(timeout=HANG_S)
-    assert process.returncode == 0
-    assert (tmp_path / "out" / "sensor.toml").is_file()
-
-
-STUCK = """
-import os
-from pixsim.cli import process
-from pixsim.cli.options import say
-process.PATIENCE_S = 0.2
-process.interruption.guard()
-process.interruption.begin()
-process.interruption.end_or_raise()
-say("x" * 400_000)
-"""
-
-
-@pytest.mark.skipif(not hasattr(fcntl, "F_SETPIPE_SZ"), reason="pipes of one page are Linux's")
-def test_signal_while_both_streams_are_held_up_ends_the_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The message of its end would wait for the same reader."""
-    monkeypatch.delenv("PYTHONUNBUFFERED", raising=False)
-    process = started(STUCK, tmp_path, stderr=subprocess.STDOUT)
-    size = fcntl.fcntl(process.stdout, fcntl.F_SETPIPE_SZ, 4096)
-    wait_for(lambda: unread_bytes(process.stdout) == size or process.poll() is not None)
-    process.send_signal(signal.SIGTERM)
-    assert process.wait(HANG_S) == 128 + signal.SIGTERM
-    process.communicate()
-
-
-def test_other_faults_after_the_terminal_is_closed_are_no_success(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(_: object) -> None:
-        cli_process.interruption.terminal_closed = True
-        raise PermissionError(errno.EACCES, "Permission denied", "out/report.html")
-
-    monkeypatch.setattr("pixsim.cli.commands.run_command", fail)
-    code, _, err = command("cache")
-    assert (code, "out/report.html: Permission denied" in err) == (2, True)
 
 
 ENTERED = """
@@ -462,22 +344,6 @@ def test_signal_while_a_stack_enters_a_file_leaves_none(tmp_path: Path) -> None:
     process = forked(ENTERED, tmp_path)
     out, err = process.communicate(timeout=HANG_S)
     assert (sorted(json.loads(out)), err) == (["tmp"], "")
-
-
-def test_files_of_another_thread_do_not_end_a_command(tmp_path: Path) -> None:
-    called: list[int] = []
-
-    def write() -> None:
-        write_chart(tmp_path / "chart.exr", np.ones((2, 2), np.float32))
-
-    with told_of_finished_files(lambda: called.append(1)):
-        thread = threading.Thread(target=write)
-        thread.start()
-        thread.join()
-        assert not called
-        write()
-    write()
-    assert called == [1]
 
 
 # --- Killed --------------------------------------------------------------------------------------------------------------
@@ -510,7 +376,7 @@ def test_killed_process_leaves_no_workers_and_next_command_cleans_up(delay_s: fl
     wait_for(lambda: not processes_of(process.pid))
     assert time.monotonic() - killed_s < GONE_S
     (left,) = (tmp_path / "tmp").iterdir()
-    assert left.name.startswith(TEMPORARY)
+    assert left.name.startswith(UNFINISHED)
     assert [path.name for path in (tmp_path / "out").iterdir()] == [LOCK]
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "tmp"))
     with output_folder(tmp_path / "out"):
@@ -522,11 +388,34 @@ KILLED = """
 import os, signal
 from pathlib import Path
 from pixsim.base.files import output_folder, publishing, replacing
-with output_folder("out") as out, replacing(out / "a.txt") as part, publishing(out, "run") as folder:
+with output_folder("out") as out, replacing(out / "a.txt") as part, publishing(out) as folder:
     part.write_text("half")
     (folder / "b.txt").write_text("half")
     os.kill(os.getpid(), signal.SIGKILL)
 """
+
+
+@proc
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 12))])
+def test_study_killed_at_random_moments_keeps_rows_and_whole_files_and_goes_on(seed: int, tmp_path: Path) -> None:
+    (tmp_path / "tiny.toml").write_text(tiny_toml(), encoding="utf-8")
+    source, out = random.Random(seed), tmp_path / "out"
+    for delay_s in (source.uniform(0, 3), source.uniform(1, 4)):
+        process = started(LINES["study"], tmp_path)
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(delay_s)
+        process.kill()
+        process.communicate(timeout=HANG_S)
+        wait_for(lambda group=process.pid: not processes_of(group), GONE_S)
+        left = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()} - {LOCK, LIST, "results.csv"}
+        assert {name for name in left if not name.startswith(UNFINISHED)} <= set(read_list(out).get("files", ())), delay_s
+        if "report.html" in left:
+            assert (out / "report.html").read_text(encoding="utf-8").endswith("</html>\n"), delay_s
+    assert command(f"study {tmp_path / 'tiny.toml'} --jobs 1 --out {out}")[0] == 0
+    assert command(f"study {tmp_path / 'tiny.toml'} --jobs 1 --out {tmp_path / 'whole'}")[0] == 0
+    assert (out / "results.csv").read_bytes() == (tmp_path / "whole/results.csv").read_bytes()
+    names = [sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*")) for folder in (out, tmp_path / "whole")]
+    assert names[0] == names[1]
 
 
 def test_output_folder_removes_leftovers_of_killed_process_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -534,13 +423,13 @@ def test_output_folder_removes_leftovers_of_killed_process_only(tmp_path: Path, 
     subprocess.run([sys.executable, "-c", KILLED], cwd=tmp_path, check=False, timeout=HANG_S)
     out = tmp_path / "out"
     names = sorted(path.name for path in out.iterdir())
-    assert [re.sub(r"[0-9a-f]{8}", "#", name) for name in names] == [".a.txt.#.part", f"{PARTIAL_FOLDER}#", LOCK]
-    users = [".a.txt.part", ".pixsim-notes", "b.0123abcd.part", ".0123abcd.part"]  # of other names
+    assert [re.sub(r"[0-9a-f]{8}", "#", name) for name in names] == [f"{UNFINISHED}#", f"{UNFINISHED}#", LOCK]
+    users = [".pixsim-notes", ".pixsim-0123abcde", "a.pixsim-0123abcd"]  # of other names
     for name in users:
         (out / name).touch()
     (out / ".pixsim-0123abcd").symlink_to(tmp_path)
-    (tmp_path / f"{TEMPORARY}mine").mkdir()
-    with unfinished(out, ".c.txt.", PARTIAL_FILE, is_folder=False) as living, temporary_folder() as temporary:
+    (tmp_path / f"{UNFINISHED}mine").mkdir()
+    with unfinished(out, is_folder=False) as living, temporary_folder() as temporary:
         for folder in (out, tmp_path / "other"):
             with output_folder(folder):
                 pass
@@ -548,7 +437,7 @@ def test_output_folder_removes_leftovers_of_killed_process_only(tmp_path: Path, 
         assert temporary.exists()
         assert sorted(path.name for path in out.iterdir()) == sorted([*users, ".pixsim-0123abcd", living.name])
     assert not temporary.exists()
-    assert {path.name for path in tmp_path.iterdir()} >= {"out", f"{TEMPORARY}mine"}
+    assert {path.name for path in tmp_path.iterdir()} >= {"out", f"{UNFINISHED}mine"}
 
 
 # --- Two at the same time ------------------------------------------------------------------------------------------------
@@ -711,20 +600,18 @@ def test_said_what_is_kept_counts_evaluations(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("has_name", [True, False])
 def test_publishing_full_disk_names_file_and_what_is_kept(has_name: bool, tmp_path: Path) -> None:
-    """Writers that know the name, and those that do not: then the newest file is named."""
-    with publishing(tmp_path, "run") as folder:
+    """Writers that know the name, and those that do not: then the folder is named."""
+    with publishing(tmp_path) as folder:
         (folder / "a.txt").write_text("before")
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    pattern = rf"'{tmp_path}/figures/b\.txt' cannot be written \(No space left on device\)\. The files .* before are unchanged\."
+    place = tmp_path / "figures/b.txt" if has_name else tmp_path
+    pattern = rf"'{place}' cannot be written \(No space left on device\)\. The files .* before are unchanged\."
 
     def write(folder: Path) -> None:
         (folder / "a.txt").write_text("after")
-        (folder / "figures").mkdir()
-        (folder / "figures/b.txt").write_text("half")
-        os.utime(folder / "a.txt", (0, 0))
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), *([str(folder / "figures/b.txt")] if has_name else []))
 
-    with pytest.raises(UnwritableError, match=pattern), publishing(tmp_path, "run") as folder:
+    with pytest.raises(UnwritableError, match=pattern), publishing(tmp_path) as folder:
         write(folder)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
@@ -738,7 +625,7 @@ def test_replacing_full_disk_names_file(tmp_path: Path) -> None:
 
 
 def test_publishing_other_errors_pass(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError), publishing(tmp_path, "run"):
+    with pytest.raises(FileNotFoundError), publishing(tmp_path):
         (tmp_path / "nothing").read_text()
-    with pytest.raises(PixsimError, match=r"^mine$"), publishing(tmp_path, "run"):
+    with pytest.raises(PixsimError, match=r"^mine$"), publishing(tmp_path):
         raise PixsimError("mine")

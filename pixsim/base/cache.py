@@ -10,6 +10,7 @@ Compiled kernels are code. Their folder is used only if nobody else can write th
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -17,8 +18,8 @@ import platform
 import re
 import stat
 import zipfile
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from hashlib import blake2b
@@ -29,9 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pixsim.base.arrays import read_arrays
-from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.files import FOLDER_VARIABLE, cache_folder, read_text, subfolder, version_of
-from pixsim.base.locks import PARTIAL_FILE, remove_leftovers, unfinished
+from pixsim.base.files import FOLDER_VARIABLE, bytes_of_variable, cache_folder, read_text, version_of
+from pixsim.base.locks import remove_leftovers, unfinished
 from pixsim.base.notes import Note, warn
 from pixsim.base.version import VERSION
 
@@ -61,21 +61,14 @@ folder = cache_folder
 
 def limit_bytes() -> int:
     """Size limit: $PIXSIM_CACHE_GIB, or else 4 GiB; 0 disables the cache. Raises PixsimError if it is not a size."""
-    text = os.environ.get(LIMIT_VARIABLE, str(DEFAULT_GIB))
-    try:
-        gib = float(text)
-    except ValueError:
-        gib = -1.0
-    if not 0 <= gib < 1e9:
-        raise invalid(LIMIT_VARIABLE, f"'{text}'", "a size in GiB, at least 0", f"Unset it for the default of {DEFAULT_GIB:g} GiB.")
-    return int(gib * GIB)
+    return bytes_of_variable(LIMIT_VARIABLE, DEFAULT_GIB, may_be_0=True)
 
 
 @lru_cache
 def version_fingerprint(*packages: str) -> str:
     """Text that identifies pixsim's version and sources, the machine type and the versions of packages.
 
-    It is part of every key. It includes the sources, so that a changed formula or table invalidates old results.
+    It is part of every key. It includes the sources of a checkout, so that a changed formula or table invalidates old results.
     """
     versions = [f"{name} {version_of(name)}" for name in ("numpy", "scipy", *packages)]
     return ", ".join([f"pixsim {VERSION} {_digest_of_sources()}", platform.machine(), *versions])
@@ -83,19 +76,14 @@ def version_fingerprint(*packages: str) -> str:
 
 @lru_cache
 def _digest_of_sources() -> str:
-    """Hash of the content of all sources, which is remembered for their paths, sizes and times of change."""
-    paths = [path for path in sorted(PACKAGE.rglob("*")) if path.suffix in SOURCE_SUFFIXES]
-    stats = [path.stat() for path in paths]
-    seen = [[str(path), each.st_size, each.st_mtime_ns] for path, each in zip(paths, stats, strict=True)]
-
-    def compute() -> str:
-        digest = blake2b(digest_size=8)
-        for path in paths:
+    """Hash of all sources of a development checkout; elsewhere the version tells them."""
+    if not (PACKAGE.parent / "pyproject.toml").is_file():
+        return VERSION
+    digest = blake2b(digest_size=8)
+    for path in sorted(PACKAGE.rglob("*")):
+        if path.suffix in SOURCE_SUFFIXES:
             digest.update(path.read_bytes())
-        return digest.hexdigest()
-
-    key = blake2b(json.dumps(seen).encode(), digest_size=8).hexdigest()
-    return load_or_compute("sources", key, lambda known: str(known["digest"]), compute, lambda digest: {"digest": digest})
+    return digest.hexdigest()
 
 
 def load_or_compute(
@@ -219,34 +207,22 @@ def _check(path: Path, label: str) -> None:
 
 def is_entry(path: Path) -> bool:
     """Whether a file is an entry of the cache by its name and its label. It is not if it is a link, or in a linked folder."""
-    try:
-        with subfolder(path.parents[1], [path.parent.name]) as descriptor:
-            return _is_entry(descriptor, path.parent.name, path.name)
-    except (OSError, PixsimError):
+    if path.suffix not in STARTS or path.is_symlink() or path.parent.is_symlink() or not path.is_file():
         return False
-
-
-def _is_entry(descriptor: int, kind: str, name: str) -> bool:
-    """`is_entry` of a file in an open folder. Raises OSError."""
-    stem, suffix = os.path.splitext(name)
-    if suffix not in STARTS:
-        return False
-    # A pipe is not waited for.
-    file = os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY, dir_fd=descriptor)
     try:
-        head = os.read(file, HEAD_BYTES) if stat.S_ISREG(os.fstat(file).st_mode) else b""
-    finally:
-        os.close(file)
-    return head.startswith(STARTS[suffix]) and entry_label(kind, stem).encode() in head
+        with path.open("rb") as file:
+            head = file.read(HEAD_BYTES)
+    except OSError:
+        return False
+    return head.startswith(STARTS[path.suffix]) and entry_label(path.parent.name, path.stem).encode() in head
 
 
 def can_hold(kind: str) -> bool:
     """Whether files can be written into the folder of a kind, which is made if it is missing."""
-    with suppress(OSError, PixsimError):
-        folder().mkdir(parents=True, exist_ok=True)
-        with subfolder(folder(), [kind], make=True) as descriptor:
-            return os.access(".", os.W_OK, dir_fd=descriptor)
-    return False
+    path = folder() / kind
+    with suppress(OSError):
+        path.mkdir(parents=True, exist_ok=True)
+    return path.is_dir() and not path.is_symlink() and os.access(path, os.W_OK)
 
 
 def _load(path: Path, read: Callable[[], Result]) -> Result | None:
@@ -269,15 +245,14 @@ def _store(path: Path, write: Callable[[Path], object], size_bytes: int) -> None
     if not has_room(size_bytes) or not limit_bytes():
         return
     try:
-        path.parents[1].mkdir(parents=True, exist_ok=True)
-        with ExitStack() as stack:
-            descriptor = stack.enter_context(subfolder(path.parents[1], [path.parent.name], make=True))
-            partial = stack.enter_context(unfinished(path.parent, f".{path.name}.", PARTIAL_FILE, is_folder=False))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.parent.is_symlink():
+            raise NotADirectoryError(errno.ENOTDIR, "a link is in the way")
+        with unfinished(path.parent, is_folder=False) as partial:
             write(partial)
-            os.replace(partial, path.name, dst_dir_fd=descriptor)
-    except (OSError, PixsimError) as error:
-        why = getattr(error, "strerror", None) or "a link or a file is in the way"
-        warn(Note("machine", words=f"cache folder '{path.parent}' cannot be written ({why}); set {FOLDER_VARIABLE}"))
+            partial.replace(path)
+    except OSError as error:
+        warn(Note("machine", words=f"cache folder '{path.parent}' cannot be written ({error.strerror}); set {FOLDER_VARIABLE}"))
         return
     _written_bytes += size_bytes
     if _written_bytes > TRIM_SHARE * limit_bytes():
@@ -300,34 +275,23 @@ class CacheFile:
 
 def entries(kind: str | None = None) -> list[CacheFile]:
     """All entries, or those of a kind, in order of last use. Files of Mitsuba and Matplotlib only if `kind` names them."""
-    known = [entry for entry, is_own in _files(kind) if is_own]
-    return sorted(known, key=lambda entry: (entry.used_s, entry.path))
+    listed = []
+    for path in _kinds():
+        if path.name == kind or (kind is None and path.name not in HELPERS):
+            for file in path.iterdir():
+                with suppress(OSError):  # another process has removed it
+                    status = file.lstat()
+                    helper = HELPERS.get(path.name)
+                    if stat.S_ISREG(status.st_mode) and (helper.fullmatch(file.name) if helper else is_entry(file)):
+                        listed.append(CacheFile(file, status.st_size, status.st_mtime))
+    return sorted(listed, key=lambda entry: (entry.used_s, entry.path))
 
 
-def foreign_bytes() -> int:
-    """Bytes of the files in folders of entries that are none: others have put them there, or another release of pixsim."""
-    return sum(entry.size_bytes for entry, is_own in _files(None) if not is_own)
-
-
-def _kinds(kind: str | None) -> Iterator[tuple[str, int]]:
-    """The name and the descriptor of each folder of entries, or of a kind; no links."""
-    with suppress(OSError), os.scandir(folder()) as found:
-        for name in sorted(each.name for each in found if each.is_dir(follow_symlinks=False)):
-            if name not in HELPERS if kind is None else name == kind:
-                with suppress(OSError, PixsimError), subfolder(folder(), [name]) as descriptor:  # another process may remove it
-                    yield name, descriptor
-
-
-def _files(kind: str | None) -> Iterator[tuple[CacheFile, bool]]:
-    """The files of `entries` in any order, and whether they are entries."""
-    for name, descriptor in _kinds(kind):
-        for file in os.listdir(folder() / name):
-            with suppress(OSError):  # another process has removed the file
-                status = os.stat(file, dir_fd=descriptor, follow_symlinks=False)
-                if stat.S_ISREG(status.st_mode):
-                    helper = HELPERS.get(name)
-                    is_own = bool(helper.fullmatch(file)) if helper else _is_entry(descriptor, name, file)
-                    yield CacheFile(folder() / name / file, status.st_size, status.st_mtime), is_own
+def _kinds() -> list[Path]:
+    """The folders of the cache that are no links."""
+    if not folder().is_dir():
+        return []
+    return [path for path in folder().iterdir() if path.is_dir() and not path.is_symlink()]
 
 
 def trim() -> int:
@@ -338,8 +302,9 @@ def trim() -> int:
         if freed >= excess:
             break
         freed += _remove(entry)
-    for name, _ in _kinds(None):
-        remove_leftovers(folder() / name)
+    for path in _kinds():
+        if path.name not in HELPERS:
+            remove_leftovers(path)
     return freed
 
 
@@ -351,8 +316,7 @@ def clear(kind: str | None = None) -> int:
 def _remove(entry: CacheFile) -> int:
     """Remove a file of `entries` and return the bytes freed: 0 if it belongs to another user, or is gone."""
     try:
-        with subfolder(folder(), [entry.kind]) as descriptor:
-            os.unlink(entry.path.name, dir_fd=descriptor)
-    except (OSError, PixsimError):
+        entry.path.unlink()
+    except OSError:
         return 0
     return entry.size_bytes

@@ -2,9 +2,8 @@
 
 A reader of a named pipe may block, a device has no end, and a decoder allocates whatever a header declares.
 
-Output has one rule. A path that the user names may be a link: it is followed, once, and what it leads to is replaced. What leads to
-a device, a pipe or an open stream gets the content and stays. Whatever pixsim makes below a folder that the user names is never a
-link, and never goes through one.
+A path that the user names may be a link: it is followed, once, and what it leads to is replaced. A pipe or a character device gets
+the content and stays. An output folder has a list of the files that pixsim wrote there, `pixsim.json`: only those are replaced.
 """
 
 from __future__ import annotations
@@ -18,20 +17,16 @@ import platform
 import re
 import shutil
 import stat
-import tempfile
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
-from contextvars import ContextVar
 from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
 from pixsim.base.errors import PixsimError, UnwritableError, invalid
 from pixsim.base.locks import (
-    PARTIAL_FILE,
-    PARTIAL_FOLDER,
     check_system,
     locked_folder,
     remove_leftovers,
@@ -69,58 +64,42 @@ def missing(path: Path) -> str:
     return f"'{path}', which does not exist" if folder is None else f"'{path}' (folder '{folder}' does not exist)"
 
 
-# In these folders a file is a stream that a process has open; what it leads to may be a file of the shell.
-OF_STREAMS = re.compile(r"/dev/fd|/proc/(?P<process>[^/]+)(/task/[^/]+)?/fd")
-MAX_LINKS = 40  # of a path, as of Linux
-
-
 def resolved(path: Path) -> Path:
     """The path without links, if there are any on its way; else as it is."""
     real = Path(os.path.realpath(path))
     return path if real == Path(os.path.abspath(path)) else real
 
 
-def _open_stream(path: Path) -> int | None:
-    """Open what a path of the user leads to for writing, if it is a pipe, a device, or a stream that a process has open.
+STREAMS = {"/dev/stdout": "1", "/dev/stderr": "2"}
 
-    None if it is a regular file, a folder or nothing. Waits for the reader of a named pipe.
 
-    Raises PixsimError for a disk, whose content would be lost, and for a socket; OSError if it cannot be opened.
+def _open_stream(path: Path) -> IO[bytes] | None:
+    """Open what a path of the user leads to for writing, if it is a pipe, a character device or a stream of this process.
+
+    None if it is a regular file or nothing. Waits for the reader of a named pipe.
+
+    Raises PixsimError for anything else, as a disk, whose content would be lost; OSError if it cannot be opened.
     """
-    way = path
-    for _ in range(MAX_LINKS):
-        folder = os.path.realpath(way.parent)
-        way = Path(folder, way.name)
-        if found := OF_STREAMS.fullmatch(folder):
-            is_own = found["process"] in (None, str(os.getpid())) and way.name.isdecimal()
-            return os.dup(int(way.name)) if is_own else os.open(way, os.O_WRONLY | os.O_NOCTTY)
-        if not way.is_symlink():
-            break
-        way = Path(folder, os.readlink(way))
-    else:
-        raise invalid("output file", f"'{path}', a link that leads to itself", "a path that can be written")
+    name = os.path.abspath(path.parent / os.readlink(path) if path.is_symlink() else path)
+    descriptor = STREAMS.get(name, name.removeprefix("/dev/fd/"))
+    if descriptor.isdecimal():  # which may be a file of the shell: the content goes where the shell stands in it
+        return os.fdopen(os.dup(int(descriptor)), "wb", buffering=0)
     try:
-        mode = way.lstat().st_mode
-    except OSError:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
         return None
-    if stat.S_ISREG(mode) or stat.S_ISDIR(mode):
-        return None
-    if not (stat.S_ISFIFO(mode) or stat.S_ISCHR(mode)):
+    if stat.S_ISFIFO(mode) or stat.S_ISCHR(mode):
+        return path.open("wb", buffering=0)
+    if not stat.S_ISREG(mode):
         raise invalid("output file", f"'{path}', {kind_of(mode)}", "a file, a pipe or a character device")
-    descriptor = os.open(way, os.O_WRONLY | os.O_NOCTTY | os.O_NOFOLLOW)
-    if stat.S_IFMT(os.fstat(descriptor).st_mode) != stat.S_IFMT(mode):
-        os.close(descriptor)
-        raise invalid("output file", f"'{path}', which changes meanwhile", "a path that can be written")
-    return descriptor
+    return None
 
 
 @contextmanager
-def replacing(path: Path, *, named: bool = True, last: bool = False, new: bool = False) -> Iterator[Path]:
+def replacing(path: Path, *, named: bool = True, new: bool = False) -> Iterator[Path]:
     """A temporary path to write to; it replaces `path` on success and is removed on failure.
 
-    named : whether the user named the path. Then links are followed, and a pipe, a device or an open stream gets the content. If
-        not, it is a file of pixsim in an output folder, which is not a link
-    last : whether it is the last file of a command: `files_are_finished` is called when it is about to move, or has been copied
+    named : whether the user named the path. Then links are followed, and a pipe, a device or an open stream gets the content
     new : whether a file that exists is refused
 
     Raises PixsimError if its folder does not exist, or if it cannot be replaced.
@@ -129,14 +108,13 @@ def replacing(path: Path, *, named: bool = True, last: bool = False, new: bool =
         with ExitStack() as stack:
             stream = _open_stream(path) if named else None
             if stream is not None:
-                file = stack.enter_context(os.fdopen(stream, "wb", buffering=0))
+                stack.enter_context(stream)
                 partial = stack.enter_context(temporary_folder()) / "content"
                 yield partial
                 with partial.open("rb") as content:
-                    shutil.copyfileobj(content, file)
-                if last:
-                    files_are_finished()
+                    shutil.copyfileobj(content, stream)
                 return
+
             target = resolved(path) if named else path
             if not os.path.lexists(target.parent):
                 hint = f"Make it first: mkdir -p '{target.parent}'"
@@ -145,45 +123,14 @@ def replacing(path: Path, *, named: bool = True, last: bool = False, new: bool =
                 raise invalid("output file", f"'{path}' ({kind_of(mode)})", "a path that can be written")
             if new and os.path.lexists(target):
                 raise PixsimError(f"output file: '{path}' exists already; allowed: a new name. Move it, or choose another name.")
-            before = f".{target.name}."
-            remove_leftovers(target.parent, before)
-            partial = stack.enter_context(unfinished(target.parent, before, PARTIAL_FILE, is_folder=False))
+            remove_leftovers(target.parent)
+            partial = stack.enter_context(unfinished(target.parent, is_folder=False))
             yield partial
-            if last:
-                files_are_finished()
             partial.replace(target)
     except OSError as error:  # of a write, which does not know the name
         if error.errno is not None:
             error.filename = error.filename or str(path)
         raise
-
-
-@contextmanager
-def subfolder(folder: Path, parts: Iterable[str], make: bool = False) -> Iterator[int]:
-    """The descriptor of a folder below an output folder, for `dir_fd`: no part of the way there is a link, whoever changes it.
-
-    make : make missing folders
-
-    Raises PixsimError if a part is a link or a file, and on Windows.
-    """
-    check_system()
-    with ExitStack() as stack:
-        flags = os.O_DIRECTORY | getattr(os, "O_PATH", os.O_RDONLY)
-        stack.callback(os.close, descriptor := os.open(folder, flags))
-        way = folder
-        for part in parts:
-            way = way / part
-            if make:
-                with suppress(FileExistsError):
-                    os.mkdir(part, dir_fd=descriptor)
-            try:
-                stack.callback(os.close, descriptor := os.open(part, flags | os.O_NOFOLLOW, dir_fd=descriptor))
-            except OSError as error:
-                if error.errno not in (errno.ENOTDIR, errno.ELOOP):
-                    raise
-                hint = "Move it away, or choose another folder with --out."
-                raise invalid("output folder", f"'{way}', a link or a file", "a folder", hint) from None
-        yield descriptor
 
 
 @contextmanager
@@ -222,29 +169,25 @@ def private_folder(name: str, quiet: bool = False) -> Path:
 
     Raises OSError if it cannot be made.
     """
-    root = cache_folder()
-    root.mkdir(parents=True, exist_ok=True)
+    folder = cache_folder() / name
+    folder.parent.mkdir(parents=True, exist_ok=True)
     with suppress(FileExistsError):
-        (root / name).mkdir(0o700)
-    fault = "is a link or a file"
-    with suppress(PixsimError), subfolder(root, [name]) as descriptor:
-        status = os.fstat(descriptor)
-        try:
-            with tempfile.TemporaryFile(dir=root / name) as made:  # also where the owner of files is not this user: NFS, containers
-                owner = os.fstat(made.fileno()).st_uid
-        except PermissionError:
-            owner = -1
-        if status.st_uid != owner:
-            fault = "belongs to another user, or cannot be written"
-        elif status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-            fault = "can be written by others"
-        else:
-            return root / name
+        folder.mkdir(0o700)
+    status = folder.lstat()
+    if not stat.S_ISDIR(status.st_mode):
+        fault = "is a link or a file"
+    elif status.st_uid != os.geteuid() or not os.access(folder, os.W_OK):
+        fault = "belongs to another user, or cannot be written"
+    elif status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        fault = "can be written by others"
+    else:
+        return folder
+
     alone = temporary_folder_of_process() / name
     alone.mkdir(0o700, exist_ok=True)
     if not quiet:
         hint = f"remove it, or set {FOLDER_VARIABLE} to a folder of yours"
-        warn(Note("machine", words=f"'{root / name}' {fault}: {name} are kept for this command only; {hint}"))
+        warn(Note("machine", words=f"'{folder}' {fault}: {name} are kept for this command only; {hint}"))
     return alone
 
 
@@ -253,234 +196,138 @@ FAULTS_OF_DISKS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.ERO
 
 
 @contextmanager
-def disk_faults_named(folder: Path, target: Path, kept: Callable[[], str]) -> Iterator[None]:
+def disk_faults_named(folder: Path, target: Path, kept: str) -> Iterator[None]:
     """Turn errors of a full or failing disk into UnwritableError, which names the file.
 
-    folder : where the files are written; without a name in the error, the newest one is named
+    folder : where the files are written; it is named where the error has no name
     target : where they are to be
-    kept : returns what is kept, for the message
+    kept : what is kept, for the message
     """
-
     hint = "Free some disk space, and run the same command again."
     try:
         yield
     except PixsimError as error:
         if str(folder) not in str(error):
             raise
-        raise UnwritableError(f"{str(error).replace(str(folder), str(target))} {kept()} {hint}") from None
+        raise UnwritableError(f"{str(error).replace(str(folder), str(target))} {kept} {hint}") from None
     except OSError as error:
         if error.errno not in FAULTS_OF_DISKS:
             raise
-        path = Path(os.fsdecode(error.filename)) if error.filename else newest_file(folder)
-        place = target / path.relative_to(folder) if path.is_relative_to(folder) else path
-        raise UnwritableError(f"output file: '{place}' cannot be written ({error.strerror}). {kept()} {hint}") from None
+        place = os.fsdecode(error.filename or folder).replace(str(folder), str(target))
+        raise UnwritableError(f"output file: '{place}' cannot be written ({error.strerror}). {kept} {hint}") from None
 
 
-def newest_file(folder: Path) -> Path:
-    """The file of a folder that was written last; the folder, if it has none."""
-    files = (path for path in folder.rglob("*") if path.is_file())
-    return max(files, key=lambda path: path.stat().st_mtime_ns, default=folder)
-
-
-PROVENANCE, PIXSIM = "provenance.json", "pixsim"
-MAX_PROVENANCE = 1 << 24  # bytes
-Listed = dict[str, dict[str, Any]]  # file name -> {"command": that wrote it, "digests": of its content}
-
-
-DIGEST_BLOCK = 1 << 20  # bytes
 SETTLED_NS = 2_000_000_000  # since a file's last change, so that another change shows in its times
 _digests: dict[tuple[int, ...], str] = {}  # of files by their place, size and times of change
 
 
-def digest_of(path: Path, alone: bool = False) -> str:
+def digest_of(path: Path) -> str:
     """BLAKE2b of a regular file's content, 32 hexadecimal digits. Raises PixsimError as `opened` does.
 
     A file is not read again if its times show that nobody has changed it.
-
-    alone : whether nobody but this process can change it
     """
-    digest = hashlib.blake2b(digest_size=16)
     with opened(path, "file", "a readable file") as file:
         status = os.fstat(file.fileno())
         key = status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
-        settled = alone or time.time_ns() - max(status.st_mtime_ns, status.st_ctime_ns) > SETTLED_NS
+        settled = time.time_ns() - max(status.st_mtime_ns, status.st_ctime_ns) > SETTLED_NS
         if settled and key in _digests:
             return _digests[key]
-        left = status.st_size  # a file that grows meanwhile, as a log does, has no other end
-        while left > 0 and (block := file.read(min(left, DIGEST_BLOCK))):
-            digest.update(block)
-            left -= len(block)
+        digest = hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
     if settled:
-        _digests[key] = digest.hexdigest()
-    return digest.hexdigest()
+        _digests[key] = digest
+    return digest
 
 
-def listed_files(folder: Path) -> Listed | None:
-    """The files that the provenance file of a folder lists; None if another program wrote that file, or it is a link.
+# --- output folders ---------------------------------------------------------------------------------------------------------------
 
-    Names that lead out of the folder are left out. Raises PixsimError if a newer pixsim wrote it.
-    """
-    if not os.path.lexists(folder / PROVENANCE):
-        return {}
-    if (folder / PROVENANCE).is_symlink():
-        return None
-    try:
-        content = _provenance(folder)
-        if PIXSIM not in content["versions"]:
-            return None
-        newer = content.get(KEY)
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
-        return None
-    check_not_newer(f"output folder '{folder}'", newer)
-    try:
-        listed = content.get("files", {})
-        return {
-            str(name): {"command": str(entry["command"]), "digests": [str(digest) for digest in entry["digests"]]}
-            for name, entry in listed.items()
-            if _is_inside(folder, name)
-        }
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
-        return None
-
-
-def version_of_files(folder: Path) -> str:
-    """Return the version of pixsim that wrote the files of an output folder; nothing where its provenance does not say."""
-    try:
-        return str(_provenance(folder)["versions"][PIXSIM])[:20]
-    except (PixsimError, ValueError, TypeError, KeyError, RecursionError):
-        return ""
-
-
-def _provenance(folder: Path) -> Any:
-    return json.loads(read_text(folder / PROVENANCE, "provenance", "JSON", MAX_PROVENANCE))
-
-
-def _is_inside(folder: Path, name: str) -> bool:
-    """Whether a listed name stays in the folder: relative, without `..`, and not behind a link to another folder."""
-    parts = PurePosixPath(name)
-    if parts.is_absolute() or not parts.parts or ".." in parts.parts or "\0" in name:
-        return False
-    return Path(os.path.realpath((folder / name).parent)).is_relative_to(os.path.realpath(folder))
-
-
-def is_own(path: Path, entry: dict[str, Any] | None) -> bool:
-    """Whether a file is as its entry of the provenance lists it: pixsim wrote it, and nobody has changed it."""
-    try:
-        return bool(entry) and stat.S_ISREG(path.lstat().st_mode) and digest_of(path) in (entry or {})["digests"]
-    except (OSError, PixsimError):
-        return False
-
-
-def _ways(name: str) -> list[str]:
-    """The folders on the way to a file of an output folder, the outermost first."""
-    return [str(way) for way in PurePosixPath(name).parents if way.parts][::-1]
-
-
-def _is_no_folder(path: Path) -> bool:
-    """Whether there is a link or a file where pixsim makes a folder."""
-    return os.path.lexists(path) and not stat.S_ISDIR(path.lstat().st_mode)
-
-
+LIST = "pixsim.json"  # of the files that pixsim wrote to an output folder
+LIST_OF_1_1 = "provenance.json"
+MAX_LIST = 1 << 24  # bytes
+PIXSIM = "pixsim"
+MADE_FROM = "made_from"  # in the list: command -> hash of all that its files were made from
+SAID = "said"  # in the list: what the command said of them
 SHOWN_FILES = 6  # in a message
 
 
+def read_list(folder: Path) -> dict[str, Any]:
+    """The list of an output folder, also of release 1.1; empty if there is none that pixsim wrote.
+
+    "files" are the names of all files of pixsim, "written" the sizes and times of those of the last command.
+
+    Raises PixsimError if a newer pixsim wrote it.
+    """
+    path = folder / (LIST if os.path.lexists(folder / LIST) else LIST_OF_1_1)
+    try:
+        content = json.loads(read_text(path, "list of files", "JSON", MAX_LIST))
+        content["versions"] = {PIXSIM: str(content["versions"][PIXSIM])}
+        content["files"] = [str(name) for name in content.get("files", ())]
+        content["written"] = dict(content.get("written", {}))
+    except (PixsimError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return {}
+    check_not_newer(f"output folder '{folder}'", content.get(KEY))
+    return content
+
+
+def version_of_files(folder: Path) -> str:
+    """Return the version of pixsim that wrote the files of an output folder; nothing where its list does not say."""
+    with suppress(PixsimError):
+        return read_list(folder).get("versions", {}).get(PIXSIM, "")[:20]
+    return ""
+
+
 def check_replaceable(folder: str | os.PathLike[str], names: Iterable[str]) -> None:
-    """Check that a command may write files of these names: they are not there, or pixsim wrote them and they are unchanged.
+    """Check that a command may write files of these names: they are not there, or pixsim wrote them.
 
     Raises PixsimError that names the other files.
     """
     folder = Path(folder)
-    listed = listed_files(folder)
-    names = sorted({*names, PROVENANCE})
-    others = sorted({way for name in names for way in _ways(name) if _is_no_folder(folder / way)})
-    present = [name for name in names if os.path.lexists(folder / name) and not {*_ways(name)} & {*others}]
-    others += [name for name in present if name != PROVENANCE and not is_own(folder / name, (listed or {}).get(name))]
-    if listed is None:
-        others.append(PROVENANCE)
+    content = read_list(folder)
+    listed = {LIST, *content["files"]} if content else set()
+    others = set()
+    for name in (*names, LIST):
+        path = folder / name
+        if os.path.lexists(path) and not (name in listed and stat.S_ISREG(path.lstat().st_mode)):
+            others.add(name)
+        ways = (str(way) for way in PurePosixPath(name).parents if way.parts)
+        others.update(way for way in ways if os.path.lexists(folder / way) and not stat.S_ISDIR((folder / way).lstat().st_mode))
     if others:
         more = f" and {len(others) - SHOWN_FILES} more" if len(others) > SHOWN_FILES else ""
-        shown_names = ", ".join(others[:SHOWN_FILES]) + more
-        got = f"'{folder}', which holds {shown_names}, not written by pixsim or changed since"
+        shown_names = ", ".join(sorted(others)[:SHOWN_FILES]) + more
+        got = f"'{folder}', which holds {shown_names}, not written by pixsim"
         raise invalid("output folder", got, "a folder without them", "Choose another with --out, or move these files away.")
 
 
-_told: ContextVar[tuple[Callable[[], object], ...]] = ContextVar("_told", default=())  # of a thread: another is no command
-
-
 @contextmanager
-def told_of_finished_files(call: Callable[[], object]) -> Iterator[None]:
-    """Within the block, call a function where `files_are_finished`."""
-    before = _told.set((*_told.get(), call))
-    try:
-        yield
-    finally:
-        _told.reset(before)
+def publishing(folder: Path, provenance: Mapping[str, Any] | None = None) -> Iterator[Path]:
+    """A temporary folder, whose files are moved to `folder` one by one when all of them are written.
 
+    The list of the folder's files is written first, so that a killed process leaves no file that nobody knows, and last.
 
-def files_are_finished() -> None:
-    """Say that all files of a command are finished, and now move into place, or are there already.
+    provenance : more content of the list; its value at the end of the block counts
 
-    None is moved if a function that is told so raises, such as for an interruption.
+    Raises PixsimError, before any file is moved, if one would replace a file that pixsim did not write.
     """
-    for call in _told.get():
-        call()
-
-
-@contextmanager
-def publishing(folder: Path, command: str, provenance: dict[str, Any] | None = None, keep: Iterable[Path] = ()) -> Iterator[Path]:
-    """A temporary folder, whose files are moved to `folder` when all of them are written.
-
-    provenance.json lists them with their digests, so that the next command knows them as pixsim's. Files that an earlier run
-    of the same command left in the folder, and that this one does not write, are removed; those of other commands stay.
-
-    command : name of the command
-    provenance : more content of provenance.json; its value at the end of the block counts
-    keep : files that are not removed
-
-    Raises PixsimError, before any file is moved, if one would replace a file that pixsim did not write; and as those do who
-    are told that `files_are_finished`.
-    """
-    kept = ["The files that the folder held before are unchanged."]
     folder = resolved(folder)
-    with unfinished(folder, PARTIAL_FOLDER, is_folder=True) as partial, disk_faults_named(partial, folder, lambda: kept[-1]):
-        yield partial
-        made = sorted(path.relative_to(partial).as_posix() for path in partial.rglob("*") if not path.is_dir())
-        check_replaceable(folder, made)
-        before = {name: entry for name, entry in (listed_files(folder) or {}).items() if is_own(folder / name, entry)}
-        now: Listed = {name: {"command": command, "digests": [digest_of(partial / name, alone=True)]} for name in made}
-
-        def write_provenance(files: Listed) -> None:
-            write_json(folder / PROVENANCE, {"versions": versions(), **(provenance or {}), "files": files}, named=False)
-
-        # Until all are moved, a file may be the old or the new one: a killed process leaves no file that nobody owns.
-        both: Listed = {name: {**entry, "digests": list(entry["digests"])} for name, entry in now.items()}
-        for name in both.keys() & before.keys():
-            both[name]["digests"] += before[name]["digests"]
-        files_are_finished()
-        write_provenance(before | both)
-        kept.append("Some files of the folder are new, others are still those before; pixsim knows both.")
-        for name in made:
-            *ways, last = PurePosixPath(name).parts
-            with subfolder(folder, ways, make=True) as descriptor:
-                os.replace(partial / name, last, dst_dir_fd=descriptor)
-        others = {name: entry for name, entry in before.items() if name not in now and entry["command"] != command}
-        for name in before.keys() - now.keys() - others.keys():
-            path = folder / name
-            if any(kept.exists() and path.samefile(kept) for kept in keep):
-                others[name] = before[name]
-                continue
-            *ways, last = PurePosixPath(name).parts
-            with suppress(FileNotFoundError), subfolder(folder, ways) as descriptor:
-                os.unlink(last, dir_fd=descriptor)
-            with suppress(OSError):  # it is not empty
-                for depth in range(len(ways) - 1, -1, -1):
-                    with subfolder(folder, ways[:depth]) as descriptor:
-                        os.rmdir(ways[depth], dir_fd=descriptor)
-        write_provenance(others | now)
+    unchanged = "The files that the folder held before are unchanged."
+    with unfinished(folder, is_folder=True) as partial:
+        with disk_faults_named(partial, folder, unchanged):
+            yield partial
+            made = {path.relative_to(partial).as_posix(): _stamp(path) for path in partial.rglob("*") if not path.is_dir()}
+            check_replaceable(folder, made)
+            before = read_list(folder).get("files", ())
+            listed = sorted({*made, *(name for name in before if os.path.lexists(folder / name))})
+            content = {"versions": versions(), **(provenance or {}), "files": listed}
+            write_json(folder / LIST, content, named=False)
+        for name in sorted(made):
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            os.replace(partial / name, folder / name)
+        write_json(folder / LIST, content | {"written": made}, named=False)
 
 
-MADE_FROM = "made_from"  # in provenance.json: command -> hash of all that its files were made from
-SAID = "said"  # in provenance.json: what the command said of them
+def _stamp(path: Path) -> list[int]:
+    """Size and time of the last change of a file, in ns."""
+    status = path.lstat()
+    return [status.st_size, status.st_mtime_ns]
 
 
 def are_kept(folder: Path, command: str, made_from: str) -> bool:
@@ -488,31 +335,25 @@ def are_kept(folder: Path, command: str, made_from: str) -> bool:
 
     made_from : hash of all that they are made from
     """
-    own = {name: entry for name, entry in (listed_files(folder) or {}).items() if entry["command"] == command}
-    if not own or _provenance(folder).get(MADE_FROM) != {command: made_from}:
+    content = read_list(folder)
+    if content.get(MADE_FROM) != {command: made_from}:
         return False
-    return all(len(entry["digests"]) == 1 and is_own(folder / name, entry) for name, entry in own.items())
+    return all(os.path.lexists(folder / name) and _stamp(folder / name) == stamp for name, stamp in content["written"].items())
 
 
 def write_made_from(folder: Path, command: str, made_from: str, said: dict[str, list[Any]] | None = None) -> None:
-    """State in the provenance of files that a command has just published what they were made from, for `are_kept`.
+    """State in the list of files that a command has just published what they were made from, for `are_kept`.
 
-    said : what the command said of them, for `said_with`
+    said : what the command said of them
     """
     stated = {MADE_FROM: {command: made_from}} | ({SAID: said} if said else {})
-    write_json(folder / PROVENANCE, _provenance(folder) | stated, named=False)
-
-
-def said_with(folder: Path) -> dict[str, list[Any]]:
-    """Return what a command said of the files of a folder that are kept."""
-    said: dict[str, list[Any]] = _provenance(folder)[SAID]
-    return said
+    write_json(folder / LIST, read_list(folder) | {"versions": versions()} | stated, named=False)
 
 
 def write_new(path: Path, text: str) -> None:
     """Write a new file, or into a pipe or a device. Raises PixsimError if the file exists or cannot be written."""
     try:
-        with replacing(path, last=True, new=True) as partial:
+        with replacing(path, new=True) as partial:
             partial.write_text(text, encoding="utf-8")
     except OSError as error:
         raise PixsimError(f"output file: '{path}' cannot be written ({error.strerror}). Choose another name.") from None
@@ -549,20 +390,22 @@ MAX_FILE_VARIABLE = "PIXSIM_MAX_FILE_GIB"
 DEFAULT_MAX_FILE_GIB = 4.0
 
 
-def max_file_bytes() -> int:
-    """Most bytes of a file, and of the content that is decoded from it: $PIXSIM_MAX_FILE_GIB, or else 4 GiB.
-
-    Raises PixsimError if the variable is not a size.
-    """
-    text = os.environ.get(MAX_FILE_VARIABLE, str(DEFAULT_MAX_FILE_GIB))
+def bytes_of_variable(variable: str, default_gib: float, may_be_0: bool = False) -> int:
+    """Bytes of an environment variable in GiB, or else of the default. Raises PixsimError if it is not a size."""
+    text = os.environ.get(variable, str(default_gib))
     try:
         gib = float(text)
     except ValueError:
         gib = -1.0
-    if not 0 < gib < 1e9:
-        hint = f"Unset it for the default of {DEFAULT_MAX_FILE_GIB:g} GiB."
-        raise invalid(MAX_FILE_VARIABLE, f"'{text}'", "a size in GiB, above 0", hint)
+    if not 0 <= gib < 1e9 or (gib == 0 and not may_be_0):
+        allowed = "a size in GiB, at least 0" if may_be_0 else "a size in GiB, above 0"
+        raise invalid(variable, f"'{text}'", allowed, f"Unset it for the default of {default_gib:g} GiB.")
     return int(gib * GIB)
+
+
+def max_file_bytes() -> int:
+    """Most bytes of a file, and of the content that is decoded from it: $PIXSIM_MAX_FILE_GIB, or else 4 GiB."""
+    return bytes_of_variable(MAX_FILE_VARIABLE, DEFAULT_MAX_FILE_GIB)
 
 
 def check_size(name: str, size_bytes: int, what: str = "bytes") -> None:
@@ -604,8 +447,9 @@ def opened(path: Path, name: str, expected: str, max_bytes: int | None = None) -
     of /proc are: they may have no end.
     """
     try:
-        _check_regular(os.stat(path), path, name, expected)  # opening a pipe or a device can have effects
-        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+        if not stat.S_ISREG(mode := os.stat(path).st_mode):  # opening a pipe or a device can have effects
+            raise invalid(name, f"'{path}', {kind_of(mode)}", expected)
+        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_BINARY", 0))
     except FileNotFoundError:
         raise invalid(name, missing(path), expected) from None
     except PixsimError:
@@ -613,30 +457,15 @@ def opened(path: Path, name: str, expected: str, max_bytes: int | None = None) -
     except (OSError, ValueError) as error:  # ValueError: a NUL character in the name
         raise invalid(name, f"'{path}' ({getattr(error, 'strerror', None) or error})", expected) from None
     with os.fdopen(descriptor, "rb") as file:
-        status = os.fstat(descriptor)
-        _check_regular(status, path, name, expected)  # another file may have taken its place
+        size_bytes = os.fstat(descriptor).st_size
         if max_bytes is None:
-            check_size(f"{name} '{path}'", status.st_size)
-        elif status.st_size > max_bytes:
-            raise invalid(name, f"'{path}' of {status.st_size} bytes", f"{expected}, of up to {max_bytes} bytes")
-        if not status.st_size:
-            _check_empty(file, path, name, expected)
+            check_size(f"{name} '{path}'", size_bytes)
+        elif size_bytes > max_bytes:
+            raise invalid(name, f"'{path}' of {size_bytes} bytes", f"{expected}, of up to {max_bytes} bytes")
+        with suppress(OSError):
+            if not size_bytes and file.peek(1):
+                raise invalid(name, f"'{path}', a file of the system without a size", expected)
         yield file
-
-
-def _check_regular(status: os.stat_result, path: Path, name: str, expected: str) -> None:
-    if not stat.S_ISREG(status.st_mode):
-        raise invalid(name, f"'{path}', {kind_of(status.st_mode)}", expected)
-
-
-def _check_empty(file: IO[bytes], path: Path, name: str, expected: str) -> None:
-    """Raise PixsimError if a file of size 0 has content."""
-    try:
-        content = os.read(file.fileno(), 8)  # the least that /proc/self/pagemap gives
-    except OSError as error:
-        raise invalid(name, f"'{path}' ({error.strerror})", expected) from None
-    if content:
-        raise invalid(name, f"'{path}', a file of the system without a size", expected)
 
 
 def size_of(path: Path, name: str, expected: str, max_bytes: int | None = None) -> int:
@@ -655,16 +484,15 @@ def is_utf8(path: Path) -> bool:
 
 
 def read_bytes(path: Path, name: str, expected: str, max_bytes: int) -> bytes:
-    """Read a regular file. Raises PixsimError if it is not readable or larger than `max_bytes`."""
+    """Read a regular file. Raises PixsimError as `opened`, or if it grows while it is read."""
     with opened(path, name, expected, max_bytes) as file:
+        size_bytes = os.fstat(file.fileno()).st_size
         try:
-            content = file.read(min(os.fstat(file.fileno()).st_size, max_bytes) + 1)  # Python allocates as many as asked for
-            if len(content) <= max_bytes:
-                content += file.read(max_bytes + 1 - len(content)) if file.peek(1) else b""  # type: ignore[attr-defined]
+            content = file.read(size_bytes + 1)
         except OSError as error:
             raise invalid(name, f"'{path}' ({error.strerror})", expected) from None
-    if len(content) > max_bytes:  # it has grown
-        raise invalid(name, f"'{path}' of more than {max_bytes} bytes", f"{expected}, of up to {max_bytes} bytes")
+    if len(content) > size_bytes:
+        raise invalid(name, f"'{path}', which grows while it is read", expected)
     return content
 
 

@@ -25,9 +25,7 @@ from pathlib import Path
 from pixsim.base.errors import invalid
 
 LOCK = ".pixsim.lock"  # in an output folder
-TOKEN = re.compile(r"[0-9a-f]{8}")  # in the name of an unfinished file or folder
-PARTIAL_FOLDER, PARTIAL_FILE = ".pixsim-", ".part"
-TEMPORARY = "pixsim-temporary-"
+UNFINISHED = ".pixsim-"  # and eight hexadecimal digits: the name of an unfinished file or folder
 OTHER_FOLDER = "Move it away, or choose another folder with --out."
 TRIES = 20  # for a file that another process removes at the moment when it is locked
 JUST_ENDING_S = 0.1  # of another process, between its removal of a lock and its end
@@ -94,23 +92,11 @@ def locked_folder(folder: Path) -> Iterator[None]:
         lock.release()
 
 
-def is_unfinished(name: str) -> bool:
-    """Whether a file or folder has a name of `unfinished`."""
-    for prefix in (PARTIAL_FOLDER, TEMPORARY):
-        if name.startswith(prefix):
-            return bool(TOKEN.fullmatch(name.removeprefix(prefix)))
-    before, _, token = name.removesuffix(PARTIAL_FILE).rpartition(".")
-    return name.endswith(PARTIAL_FILE) and name.startswith(".") and bool(before) and bool(TOKEN.fullmatch(token))
-
-
-def remove_leftovers(folder: Path, before: str = "") -> None:
-    """Remove this user's unfinished files and folders in a folder whose process has ended.
-
-    before : the beginning of their names
-    """
+def remove_leftovers(folder: Path) -> None:
+    """Remove this user's unfinished files and folders in a folder whose process has ended."""
     with suppress(OSError):
         for entry in os.scandir(folder):
-            if entry.name.startswith(before) and is_unfinished(entry.name):
+            if re.fullmatch(re.escape(UNFINISHED) + "[0-9a-f]{8}", entry.name):
                 with suppress(OSError):
                     _remove_leftover(Path(entry.path))
 
@@ -129,16 +115,14 @@ def _remove_leftover(path: Path) -> None:
 
 
 @contextmanager
-def unfinished(folder: Path, before: str, after: str = "", *, is_folder: bool) -> Iterator[Path]:
+def unfinished(folder: Path, *, is_folder: bool) -> Iterator[Path]:
     """A new file or folder of a name that nobody else has, locked; it is removed at the end, unless it was moved.
-
-    before, after : of its name, around the random part
 
     Raises PixsimError on Windows.
     """
     check_system()
     for _ in range(TRIES):
-        path = folder / f"{before}{secrets.token_hex(4)}{after}"
+        path = folder / f"{UNFINISHED}{secrets.token_hex(4)}"
         with suppress(FileExistsError):
             if is_folder:
                 path.mkdir(0o700)
@@ -162,7 +146,7 @@ def unfinished(folder: Path, before: str, after: str = "", *, is_folder: bool) -
 @contextmanager
 def temporary_folder() -> Iterator[Path]:
     """A new folder among the temporary files ($TMPDIR), removed at the end."""
-    with unfinished(Path(tempfile.gettempdir()), TEMPORARY, is_folder=True) as folder:
+    with unfinished(Path(tempfile.gettempdir()), is_folder=True) as folder:
         yield folder
 
 

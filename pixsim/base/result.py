@@ -36,7 +36,7 @@ class Result:
 
         folder : created if missing
         figures : "pdf" writes a PDF beside each SVG
-        seconds : stage -> wall time in s, for the page and provenance.json
+        seconds : stage -> wall time in s, for the page and pixsim.json
 
         Returns the path of report.html. Raises PixsimError if the folder cannot be written, or holds a file of such a name that
         pixsim did not write; and for "pdf" of a result without figures.

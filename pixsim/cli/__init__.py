@@ -63,10 +63,9 @@ def main(tokens: Sequence[str] | None = None) -> NoReturn:
 
         end(refusal(error), INVALID_INPUT)
     except OSError as error:
-        is_of_terminal = interruption.terminal_closed and error.errno == errno.EIO and error.filename is None
         if error.errno in (errno.EMFILE, errno.ENFILE):
             end("this process may have too few files open; allow it more, with `ulimit -n 1024`, or give --jobs 1", INVALID_INPUT)
-        if not isinstance(error, BrokenPipeError) and not is_of_terminal:
+        if not isinstance(error, BrokenPipeError):
             end(f"{error.filename or 'system'}: {error.strerror or error}", INVALID_INPUT)
         discard_output()  # the reader, such as `head`, has closed the pipe
     except MemoryError:

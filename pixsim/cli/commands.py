@@ -15,7 +15,6 @@ from cyclopts import Parameter
 
 from pixsim.base.caller import command_line
 from pixsim.base.errors import invalid
-from pixsim.base.files import told_of_finished_files
 from pixsim.base.layers import Layer
 from pixsim.base.lazy import import_less
 from pixsim.base.notes import collected_notes
@@ -54,7 +53,7 @@ def run_command(tokens: Sequence[str]) -> None:
     interruption.begin()
     try:
         # Notes also of the settings, before a result collects its own.
-        with command_line(), collected_notes(), told_of_finished_files(interruption.end_or_raise):
+        with command_line(), collected_notes():
             arguments = with_whole_options(arguments)
             if any(word in HELP for word in arguments) and HELP_ALL not in arguments:
                 from pixsim.cli.help import print_help
@@ -289,7 +288,7 @@ def study(
 
     Example: pixsim study pixel-size --axis camera.f_number=2,2.8,4 --quick
 
-    Writes results.csv, settings.toml, summary.json, figures (with a contact sheet), provenance.json and report.html. The same
+    Writes results.csv, settings.toml, summary.json, figures (with a contact sheet), pixsim.json and report.html. The same
     command continues an interrupted study, and draws no report again that would show the same; `pixsim study settings.toml`
     repeats it.
     """

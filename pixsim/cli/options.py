@@ -78,8 +78,7 @@ class Verbosity:
             self._say(f"warning: {message}")
 
     def _say(self, text: str) -> None:
-        with interruption.printing():
-            progress.writer_to(sys.stderr)(text)
+        progress.writer_to(sys.stderr)(text)
 
 
 verbosity = Verbosity()
@@ -473,6 +472,7 @@ def answer(document: Document, as_json: bool, page: Path | None = None) -> None:
 
     width = shutil.get_terminal_size((WIDTH, 0)).columns
     lines = [] if page is None else [f"report: {page}"]
+    interruption.end_or_raise()
     say((json(document) if as_json else "\n".join([text(document, width), *lines])) + "\n", as_json)
 
 
@@ -500,11 +500,10 @@ def write_answer(
 
 
 def say(text: str, as_json: bool = False) -> None:
-    """Print to stdout, and flush it. Raises PixsimError if that fails, but for a pipe or a terminal that is closed."""
+    """Print to stdout, and flush it. Raises PixsimError if that fails, but for a pipe that is closed."""
     try:
-        with interruption.printing():
-            print(printable(text, as_json), end="", flush=True)
+        print(printable(text, as_json), end="", flush=True)
+    except BrokenPipeError:
+        raise
     except OSError as error:
-        if isinstance(error, BrokenPipeError) or interruption.terminal_closed:
-            raise
         raise PixsimError(f"standard output: it cannot be written ({error.strerror}); the files of the command are.") from None

@@ -10,11 +10,10 @@ import os
 import signal
 import sys
 import time
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from types import FrameType
     from typing import NoReturn
 
@@ -23,7 +22,6 @@ ENDING = {getattr(signal, name): words for name, words in WORDS.items() if hasat
 IS_TIMED = hasattr(signal, "setitimer")  # else (Windows) nothing is raised later
 SIGNAL_EXIT = 128  # the exit code of a shell for a process that a signal ended, less the signal's number
 PATIENCE_S = 5.0  # for the clean-up after a signal; another one after that ends the process at once
-NEVER_S = float("inf")
 WAIT_S = 0.02  # before another try to raise
 LONGEST_WAIT_S = 3.0
 IMPORTING = "<frozen importlib._bootstrap>"  # file name of Python's import, in its frames
@@ -36,15 +34,12 @@ class Interruption:
     Before the command begins, the process ends at once: nothing is written, nothing else runs. Afterwards a KeyboardInterrupt
     is raised, so that everything opened is closed. It is not raised while Python imports a module, since libraries in C++ turn
     it into other errors, nor while a context manager is entered or left, as workers are: what is opened is then always closed.
-    From `end_or_raise` on it is not raised: the files of a command are all moved into place, or none is. Then a result is
-    printed, which a reader may hold up.
+    From `end_or_raise` on, when the result is printed, it is not raised.
     """
 
-    received: int | None = None  # number of the signal
-    late: int | None = None  # number of the first one after `end_or_raise`, which does not end the command
-    terminal_closed = False  # after `end_or_raise`: what is still to be printed is lost
-    _at_s = 0.0  # from when on patience is counted: from a signal, or from the end of the command
-    _begun = _done = _prints = False
+    received: int | None = None  # number of the signal that ends the command
+    _first_s: float | None = None  # when the first signal came
+    _begun = _done = False
 
     def guard(self) -> None:
         """Take the signals, except those that whoever started this process has set to be ignored (nohup, background jobs)."""
@@ -58,45 +53,19 @@ class Interruption:
 
     def begin(self) -> None:
         """The command begins: from now on a signal raises KeyboardInterrupt."""
-        self._begun, self._done, self._prints, self.late, self.terminal_closed = True, False, False, None, False
+        self._begun, self._done, self._first_s = True, False, None
 
     def end_or_raise(self) -> None:
-        """All files of the command are finished, and are about to move into place. From now on it counts as ended.
-
-        Otherwise a signal between the files and the end of the process would give the exit code of an interruption beside all
-        files of the command.
-
-        Raises KeyboardInterrupt if a signal has come before.
-        """
-        if self._done:  # of several files, not the first one
-            return
-        if self.received is None:
-            self._at_s, self._done = NEVER_S, True
-        if self.received is not None:  # also one that came in the line above
-            self._done, self._at_s = False, min(self._at_s, time.monotonic())
+        """The command has ended but for its result, which is printed. Raises KeyboardInterrupt if a signal has come before."""
+        self._done = True
+        if self.received is not None:
             raise_after(0)
             raise KeyboardInterrupt
 
-    @contextmanager
-    def printing(self) -> Iterator[None]:
-        """Within the block, something is printed. If the files are in place, a reader may take `PATIENCE_S` after a signal."""
-        self._prints = self._done
-        if self.late is not None:
-            raise_after(PATIENCE_S)
-        try:
-            yield
-        finally:
-            self._prints = False
-            if self.late is not None:
-                raise_after(0)
-
     def finish(self) -> None:
-        """The command has ended: signals do not disturb the clean-up of the process, unless that takes long."""
-        self._done, self._prints = True, False
-        if self._at_s in (0.0, NEVER_S):
-            self._at_s = time.monotonic()
-        if self.received is not None or self.late is not None:
-            raise_after(0)
+        """The command has ended: a signal does not disturb the clean-up of the process."""
+        self._done = True
+        raise_after(0)
 
     @property
     def words(self) -> str:
@@ -108,29 +77,25 @@ class Interruption:
         return SIGNAL_EXIT + (self.received or signal.SIGINT)
 
     def _receive(self, number: int, frame: FrameType | None) -> None:
-        self.terminal_closed |= self._done and ENDING[number] == WORDS["SIGHUP"]
-        if self.received is None and not self._done:
-            self.received, self._at_s = number, time.monotonic()
+        now_s = time.monotonic()
+        if self._first_s is None:
+            self._first_s = now_s
+        if now_s - self._first_s > PATIENCE_S:
+            self.received = number
+            self._leave()
+        elif not self._done and self.received is None:
+            self.received = number
             if self._begun:
                 self._raise(number, frame)
             else:
                 self._leave()
-        elif self._at_s == NEVER_S:
-            self.late, self._at_s = number, time.monotonic()
-            if self._prints:
-                raise_after(PATIENCE_S)
-        elif time.monotonic() - self._at_s > PATIENCE_S:
-            self.received = number
-            self._leave()
 
     def _raise(self, _: int, frame: FrameType | None) -> None:
-        """Raise KeyboardInterrupt, or try again soon. Leave if a result cannot be printed."""
-        if self._prints:
-            self.received = self.late
-            self._leave()
+        """Raise KeyboardInterrupt, or try again soon."""
+        waited_s = time.monotonic() - (self._first_s or 0.0)
         if self._done:
             return
-        if IS_TIMED and time.monotonic() - self._at_s < LONGEST_WAIT_S and must_wait(frame):
+        if IS_TIMED and waited_s < LONGEST_WAIT_S and must_wait(frame):
             raise_after(WAIT_S)
         else:
             raise KeyboardInterrupt
@@ -152,8 +117,6 @@ class Interruption:
 
     def _leave(self) -> NoReturn:
         with suppress(OSError):
-            if hasattr(os, "set_blocking"):
-                os.set_blocking(2, False)  # it may be the pipe that holds up the result
             os.write(2, f"pixsim: {self.words}\n".encode())
         os._exit(self.exit_code)
 

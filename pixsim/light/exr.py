@@ -176,10 +176,10 @@ def fill_channels(unfinished: Path, channels: dict[str, NDArray[Any]], header: d
 
 
 @contextmanager
-def writing(path: str | os.PathLike[str], *, named: bool = True, last: bool = False) -> Iterator[Path]:
+def writing(path: str | os.PathLike[str], *, named: bool = True) -> Iterator[Path]:
     """Give a temporary file to write, as `replacing` does. Raises PixsimError if that fails."""
     try:
-        with replacing(Path(path), named=named, last=last) as unfinished:
+        with replacing(Path(path), named=named) as unfinished:
             yield unfinished
     except PixsimError:
         raise

@@ -32,7 +32,7 @@ class PictureFile:
         whole = image.whole
         values = np.ascontiguousarray(whole.factors[1] if whole.factors else whole.data)
         digest = hashlib.blake2b(values.data, digest_size=16).digest()
-        with disk_faults_named(self._folder, self._folder, lambda: "It holds the pictures of all lights of the study."):
+        with disk_faults_named(self._folder, self._folder, "It holds the pictures of all lights of the study."):
             if self._file is None:
                 self._file = tempfile.TemporaryFile(buffering=0, dir=self._folder)  # noqa: SIM115 – open as long as its images are
                 weakref.finalize(self, self._file.close)

@@ -200,7 +200,7 @@ def figures_of(job: ComparisonJob) -> dict[str, str]:
 
 
 def comparison_files(job: ComparisonJob) -> dict[str, str]:
-    """Return the names of all files of a comparison, with their descriptions; provenance.json comes with them."""
+    """Return the names of all files of a comparison, with their descriptions; pixsim.json comes with them."""
     files = {
         JSON_FILE: "all numbers and settings, for programs",
         SETTINGS_FILE: "settings of all sensors; its first lines have the command that makes the same numbers again",
@@ -317,7 +317,6 @@ def comparison_document(result: Comparison, warned: Collection[str] = ()) -> Doc
         lead=lead,
         about=(f"{DELTA_E} The mean over the picture is compared.",) if judged_by_delta_e(result.job) else (),
         data_file=JSON_FILE,
-        sources=[Path(case.file) for case in result.shown.cases],
     )
 
 
@@ -629,7 +628,10 @@ def _sections(result: Comparison, pngs: Mapping[str, bytes], end: float, rows_fi
     yield Section("shared", "What the sensors share", [Listed(common_words(job).split("; "))])
     yield Section("settings", "Settings", settings_blocks(list(_settings(result))))
     files = comparison_files(job) | {name: words for name, words in ROWS_FILES.items() if name in rows_files}
-    listed = [(Link(name, name), f": {words}") for name, words in (files | {"provenance.json": "versions and wall times"}).items()]
+    listed = [
+        (Link(name, name), f": {words}")
+        for name, words in (files | {"pixsim.json": "versions, wall times, names of files"}).items()
+    ]
     yield Section("files", "Files in this folder", [Listed(listed)], folded=True)
 
 

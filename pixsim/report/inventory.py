@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from pixsim.base import cache
 from pixsim.base.errors import invalid
 from pixsim.base.files import MIB
-from pixsim.show.document import Answer, Block, Document, DocumentTable, Listed
+from pixsim.show.document import Answer, Block, Document, DocumentTable
 
 if TYPE_CHECKING:
     from pixsim.sensor.camera_data import CameraEntry
@@ -37,8 +37,6 @@ def cache_document(kind: str | None = None, clear: bool = False) -> Document:
         rows.append((name, entries, _mib(total["size_bytes"])))
     if rows:
         blocks.append(DocumentTable("entries", (), rows))
-    if foreign_bytes := summary["foreign_bytes"]:
-        blocks.append(Listed(f"{_mib(foreign_bytes)} of other files, or of another release, which pixsim leaves alone"))
     data = summary | ({"freed_bytes": freed_bytes} if clear else {})
     return Document("cache", "cache", summary["folder"], data, blocks)
 
@@ -56,7 +54,6 @@ def cache_summary(kind: str | None = None) -> dict[str, Any]:
         "limit_bytes": cache.limit_bytes(),
         "size_bytes": sum(total["size_bytes"] for total in kinds.values()),
         "kinds": dict(sorted(kinds.items())),
-        "foreign_bytes": cache.foreign_bytes(),
     }
 
 

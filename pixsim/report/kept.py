@@ -14,16 +14,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from pixsim.base import cache
-from pixsim.base.files import (
-    DEPENDENCIES,
-    are_kept,
-    digest_of,
-    files_are_finished,
-    output_folder,
-    said_with,
-    versions,
-    write_made_from,
-)
+from pixsim.base.files import DEPENDENCIES, SAID, are_kept, digest_of, output_folder, read_list, versions, write_made_from
 from pixsim.base.mapped import update_with_array
 from pixsim.base.notes import Note
 from pixsim.show.document import Document
@@ -46,7 +37,6 @@ def keep_or_write(command: str, made_from: str, folder: Path, write: Callable[[]
     """
     with output_folder(folder):
         if are_kept(folder, command, made_from):
-            files_are_finished()
             return folder / "report.html"
         report = write()
         write_made_from(folder, command, made_from)
@@ -57,8 +47,7 @@ def kept_run(folder: Path, made_from: str) -> tuple[Document, list[Note]] | None
     """Return the answer of a run whose files are kept, without its page, and its warnings; None if they are not kept."""
     if not are_kept(folder, "run", made_from):
         return None
-    files_are_finished()
-    said = said_with(folder)
+    said = read_list(folder)[SAID]
     data = json.loads((folder / "score.json").read_bytes())
     return Document("run", "kept", str(folder), data, terminal=tuple(said["lines"])), [
         Note.restored(**note) for note in said["warned"]

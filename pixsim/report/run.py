@@ -93,7 +93,7 @@ FILES = {
     "delta_e.exr": "S-CIELAB ΔE map, for programs",
     "delta_e.png": "S-CIELAB ΔE map, with axes",
     "settings.toml": "all settings: `pixsim run SCENE --config settings.toml` makes the same numbers again",
-    "provenance.json": "versions and wall times",
+    "pixsim.json": "versions, wall times, names of files",
 }
 MEANINGS = {
     "pitch_um": "pixel size, centre to centre (µm)",
@@ -208,7 +208,6 @@ def run_document(result: RunResult, warned: Collection[str] = ()) -> Document:
         about=(DELTA_E_WORDS,) if judged else (),
         sections=(budgets_section(budgets_of(result)),),
         data_file="score.json",
-        sources=[Path(result.prepared.file)],
     )
 
 

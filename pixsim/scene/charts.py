@@ -208,7 +208,7 @@ def write_chart(path: str | os.PathLike[str], texels: Texels) -> None:
     """
     if Path(path).suffix.lower() != ".exr":
         raise invalid("chart file", f"'{path}'", "a name that ends in .exr")
-    with writing(path, last=True) as unfinished:
+    with writing(path) as unfinished:
         fill_channels(unfinished, {"Y": texels}, {})
 
 

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
-from pixsim.base.files import files_are_finished, replacing, resolved
+from pixsim.base.files import replacing, resolved
 from pixsim.light.exr import fill_channels, writing
 from pixsim.light.spectral import LUMINOUS_EFFICACY_LM_PER_W, colour_matching, d65, grid_nm
 from pixsim.light.standard import OPPONENT_FROM_XYZ, XYZ_FROM_OPPONENT
@@ -213,7 +213,6 @@ def write_colour_chart(
             files.enter_context(replacing(path)).write_bytes(text.encode("ascii", "xmlcharrefreplace"))
             for share, file in zip(change.shares.tolist(), slides, strict=True):
                 fill_channels(files.enter_context(writing(file, named=False)), {"Y": slide(share, grey)}, {})
-            files_are_finished()
     except OSError as error:
         raise invalid("output file", f"'{path}' ({error.strerror or error})", "a path that can be written") from None
     return slides

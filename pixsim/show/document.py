@@ -223,7 +223,6 @@ class Document(DocumentRecord):
     files : name -> content of further files
     writers : write others to a folder, side by side: arrays that are in no file's form in memory
     parts : folder -> further document, published together with this one; "." is the same folder
-    sources : files of the user that it is made from, which stay where it replaces those of another one
     data_file, page, figures : names of the files of `data` and of the page, and of the folder of the figures
     """
 
@@ -240,7 +239,6 @@ class Document(DocumentRecord):
     files: Mapping[str, str | bytes] = field(default_factory=dict)
     writers: Iterable[Callable[[Path], object]] = ()
     parts: Mapping[str, Document] = field(default_factory=dict)
-    sources: Iterable[Path] = ()
     data_file: str = "summary.json"
     page: str = "report.html"
     figures: str = "figures"

@@ -187,18 +187,18 @@ def _sentence(text: Text) -> Text:
 def write(document: Document, folder: Path, provenance: dict[str, Any] | None = None, figures: Figures = "svg") -> Path:
     """Write the page, the figures with their data, the data and further files of a document, and return the path of the page.
 
-    provenance : more content of provenance.json
+    provenance : more content of pixsim.json
     figures : "pdf" writes a PDF beside each SVG
 
     Raises PixsimError if the folder cannot be written, or holds a file of such a name that pixsim did not write.
     """
-    with output_folder(folder) as path, publishing(path, document.command, provenance, document.sources) as unfinished:
+    with output_folder(folder) as path, publishing(path, provenance) as unfinished:
         write_files(document, unfinished, figures)
     return Path(folder) / document.page
 
 
 def write_files(document: Document, folder: Path, figures: Figures = "svg") -> None:
-    """Write all files of a document but their provenance to a new folder."""
+    """Write all files of a document but their list to a new folder."""
     with ThreadPoolExecutor(2) as pool:
         written = [pool.submit(make, folder) for make in document.writers]
         drawn = (plot.drawn_as(figures).files for plot in document.plots)

@@ -28,7 +28,7 @@ from pixsim.base.layers import listed
 from pixsim.base.notes import Note, collected_notes, warn, without_warnings
 from pixsim.base.progress import Progress, Stage, no_stage
 from pixsim.base.result import Result
-from pixsim.base.schema import check_not_newer
+from pixsim.base.schema import KEY, check_not_newer
 from pixsim.base.version import VERSION
 from pixsim.light.spectral import SpectralImage
 from pixsim.scene.plan import Plan
@@ -44,7 +44,7 @@ from pixsim.studies.paired import FEWEST_PAIRS, Pairs
 from pixsim.studies.prepare import Types
 from pixsim.studies.sensors import PAIR, ComparisonJob, Match, SensorGroup, prepare
 from pixsim.studies.settings import Study, check_asked
-from pixsim.studies.table import COLUMNS, ROWS_FILE, check_replaceable_results
+from pixsim.studies.table import CHECK, COLUMNS, ROWS_FILE, check_replaceable_results
 from pixsim.studies.uncertainty import FEW_SENSORS, TYPES_FILE, PairUncertainty, sample_of
 from pixsim.viewer.chain import make_chain
 from pixsim.viewer.dark_clip import dark_clip
@@ -143,7 +143,7 @@ def _rows_of(path: Path, kind: str) -> dict[tuple[object, ...], dict[str, float]
         if names[:3] != list(COLUMNS[:3]) or first_number not in names:
             raise invalid("results", f"'{path}'", "the rows of a study")
         labels = names[names.index("repeat") + 1 : names.index(first_number)]
-        numbers = [name for name in names[names.index(first_number) :] if name != "schema"]
+        numbers = [name for name in names[names.index(first_number) :] if name not in (KEY, CHECK)]
         for row in reader:
             place: list[object] = [(name, row[name]) for name in labels]
             # The sensor of a run is what is compared; the sizes of a comparison are those of its sensors.

@@ -411,7 +411,7 @@ class SharedFiles:
         from joblib import dump
 
         path, content = self._folder / f"{id(make)}.joblib", make()
-        with disk_faults_named(self._folder, self._folder, lambda: "TMPDIR sets another folder for temporary files."):
+        with disk_faults_named(self._folder, self._folder, "TMPDIR sets another folder for temporary files."):
             dump(content, path)
         return path
 

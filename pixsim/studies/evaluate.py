@@ -10,7 +10,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache as cache_once, cached_property, partial
+from functools import cached_property, partial
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -598,7 +598,7 @@ class _Evaluation:
 
     def run(self, progress: Callable[[], Progress | None], more: More | None, known: Known | None, in_parts: bool) -> Table:
         """Evaluate all points, in rounds, and return the table."""
-        self.store.resume(self._is_expected(), self._has_known_key())
+        self.store.resume(self._is_expected())
         self.counts.evaluations_reused = len(self.store)
         parts = self._parts() if in_parts else [list(self.groups)]
         try:
@@ -770,15 +770,6 @@ class _Evaluation:
             return any(self.cases[number].fingerprints.is_expected_row(row, self.sizes[number]) for number in (*same, *others))
 
         return is_expected
-
-    def _has_known_key(self) -> Callable[[Row], bool]:
-        """Return whether a row of the file has the key of a point of the start."""
-
-        @cache_once
-        def keys() -> set[str]:
-            return {key for number in range(len(self.cases)) for key in self._keys(number)}
-
-        return lambda row: row["key"] in keys()
 
     # --- lights in memory
 

@@ -11,6 +11,7 @@ import math
 import os
 import shutil
 import stat
+import zlib
 from array import array
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -30,7 +31,7 @@ from pixsim.base.result import Result
 from pixsim.base.schema import KEY, ROW_SCHEMAS, SCHEMA, of_another
 from pixsim.base.tables import csv_text, dataframe_of
 from pixsim.base.version import VERSION
-from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, PIXEL_STATISTICS, ROUNDING, Metric, columns_of_metrics, columns_with_numbers
+from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, PIXEL_STATISTICS, Metric, columns_of_metrics, columns_with_numbers
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -160,6 +161,7 @@ COLUMNS = (*OF_PIXEL, *DELTA_E.columns)  # of results.csv of a study with ΔE al
 TEXTS = COLUMNS[:2]
 MAX_BYTES = 1 << 31  # eight million rows
 MAX_LINE = 1 << 14
+CHECK = "check"  # the last column, which shows whether a row is as it was written
 ROWS_AT_ONCE = 1 << 10  # that are written
 
 Row = dict[str, str]  # of a file
@@ -178,11 +180,13 @@ class Store:
     labels : columns that tell cases and displays apart, after the repeat
     metrics : of the rows
     another_schema : that a row of the file states which is left out; empty if it states none, None if there is no such row
+    damaged : number of rows of the file that are not as they were written
     """
 
     def __init__(self, path: Path | None, labels: Sequence[str] = (), metrics: Sequence[Metric] = (DELTA_E,)) -> None:
         self.path = path
         self.another_schema: str | None = None
+        self.damaged = 0
         self.columns, self.metrics = row_columns(labels, metrics), tuple(metrics)
         self.numbers = *PIXEL_STATISTICS, *columns_of_metrics(metrics)
         self._places: dict[str, int] = {}
@@ -213,53 +217,48 @@ class Store:
         self._places[key] = len(self._values) // len(self.numbers)
         self._values.extend(numbers)
 
-    def resume(self, is_expected: Callable[[Row], bool], is_edited: Callable[[Row], bool] = lambda _: False) -> list[str]:
+    def resume(self, is_expected: Callable[[Row], bool]) -> list[str]:
         """Take over the expected rows of the file, and return their keys.
 
         If there are others, copy the file; leave only the expected rows.
 
-        is_edited : whether a row that is not expected has the key of one that is
-
-        Warns of rows of another schema or version of pixsim, and of rows that cannot be: they are computed again.
+        Warns of rows of another schema or version of pixsim, and of rows that fail their check: they are computed again.
         """
         if self.path is None:
             return []
-        has_others, impossible = False, 0
+        has_others = False
         for row in self._whole_rows(self.path):
-            expected = is_expected(row)
-            if expected and is_possible(row, self.metrics):
+            if is_expected(row):
                 self._keep(row["key"], [float(row[name]) for name in self.numbers])
             else:
                 has_others = True
-                impossible += expected or is_edited(row)
-                self._places.pop(row["key"], None)
 
         has_content = self.path.is_file() and self.path.stat().st_size > len(self._text([self._head])) + 1
-        if has_content and (has_others or not self._places or self.another_schema is not None):
-            self._say_what_is_kept(self.path, impossible)
-        self.write(self._trusted_rows(self.path, is_expected))
+        if has_content and (has_others or self.damaged or not self._places or self.another_schema is not None):
+            self._say_what_is_kept(self.path)
+        self.write(self._trusted_rows(self.path))
         return list(self._places)
 
-    def _trusted_rows(self, path: Path, is_expected: Callable[[Row], bool]) -> Iterator[list[str]]:
+    def _trusted_rows(self, path: Path) -> Iterator[list[str]]:
         """Yield the rows of the file that were taken over, each once."""
-        written: set[str] = set()
+        left = set(self._places)
         for row in self._whole_rows(path):
-            if row["key"] in self._places and row["key"] not in written and is_expected(row) and is_possible(row, self.metrics):
-                written.add(row["key"])
+            if row["key"] in left:
+                left.remove(row["key"])
                 yield [row[name] for name in self.columns]
 
-    def _say_what_is_kept(self, path: Path, impossible: int) -> None:
+    def _say_what_is_kept(self, path: Path) -> None:
         """Copy the file, and warn of its rows that do not continue."""
         backup = self._back_up(path)
         if self.another_schema is not None:
             rows = f"rows of '{path}' state {of_another(self.another_schema)}"
             warn(Note("rows_not_continued", rows=rows, backup=backup, then=", and they are computed again"))
-        elif not self._places and (version := version_of_files(path.parent)) != VERSION:
+        elif not self._places and not self.damaged and (version := version_of_files(path.parent)) != VERSION:
             which = f"of pixsim {version}" if version else "of other settings, or of another version of pixsim"
             then = ", and they are computed again; only the settings and the version that wrote them continue them"
             warn(Note("rows_not_continued", rows=f"the rows of '{path}' are {which}", backup=backup, then=then))
-        if impossible:
-            which = f"{impossible} row{'s' * (impossible > 1)} of '{path}' cannot be, by ΔE, size or another number"
+        if self.damaged:
+            which = f"{self.damaged} row{'s' * (self.damaged > 1)} of '{path}' changed after pixsim wrote them"
             warn(Note("rows_not_continued", rows=which, backup=backup, then=", and they are computed again"))
 
     def finish(self, keys: Collection[str], rows: Iterable[Sequence[Any]]) -> None:
@@ -279,35 +278,39 @@ class Store:
         return set() if self.path is None else {row["key"] for row in self._whole_rows(self.path)}
 
     def _whole_rows(self, path: Path) -> Iterator[Row]:
-        """Iterate over the complete rows of this schema, one in memory at a time."""
-        self.another_schema = None
+        """Iterate over the rows of this schema that are as pixsim wrote them, one in memory at a time, and count the others."""
+        self.another_schema, self.damaged = None, 0
         if not path.is_file():
             return
         allowed = "the rows of a study"
         with opened(path, "results", allowed, MAX_BYTES) as file:
+            lines = _lines(file)
             try:
-                for row in (reader := csv.DictReader(_lines(file))):
-                    names = reader.fieldnames or ()
+                names = next(csv.reader(lines), [])
+                for line in lines:
+                    row = dict(zip(names, next(csv.reader([line]), []), strict=False))
                     stated = row.get(KEY) if KEY in names else "" if TEXTS[0] in names else None
-                    if stated not in ROW_SCHEMAS:
-                        if stated == "" or (stated and stated.isdecimal()):  # else the row is damaged
+                    if names[-1] == CHECK and not is_as_written(line):
+                        self.damaged += 1
+                    elif stated not in ROW_SCHEMAS:
+                        if stated == "" or (stated and stated.isdecimal()):  # else it is no row
                             self.another_schema = stated
-                    elif self._is_whole(row):
-                        yield {name: row.get(name) or "" for name in self.columns}
+                    elif names[-1] == CHECK and self._has_numbers(row):  # no row of 1.1 is of these settings
+                        yield {name: row.get(name, "") for name in self.columns}
             except csv.Error as error:
                 hint = "Move the file away: its rows are then computed again."
                 raise invalid("results", f"'{path}' ({error})", allowed, hint) from None
             except OSError as error:
                 raise invalid("results", f"'{path}' ({error.strerror})", allowed) from None
 
-    def _is_whole(self, row: Row) -> bool:
-        """Return whether a row has every column, with numbers where they belong; other rows are computed again."""
+    def _has_numbers(self, row: Row) -> bool:
+        """Return whether a row has a number in every column of numbers: it may be of other metrics."""
         try:
-            variants = {name for metric in self.metrics for name in metric.variants if metric.may_lack(name, float(row[name]))}
-            names = [name for name in (*OF_PIXEL, *columns_of_metrics(self.metrics)) if name not in variants]
-            return all(row[name] if name in TEXTS else math.isfinite(float(row[name])) for name in names)
-        except (KeyError, TypeError, ValueError):
+            for name in (*OF_PIXEL[2:], *columns_of_metrics(self.metrics)):
+                float(row[name])
+        except (KeyError, ValueError):
             return False
+        return True
 
     def _back_up(self, path: Path) -> str:
         """Copy the file to FILE.old, or FILE.old2 and so on if there are such copies of other content; return the name."""
@@ -352,8 +355,24 @@ class Store:
         return self._text([self._head, *rows]).decode()
 
     def _text(self, rows: Iterable[Sequence[Any]]) -> bytes:
-        """Return rows as lines of the file; the schema stands at the end of each."""
-        return csv_text([*row, KEY if row is self.columns else SCHEMA] for row in rows).encode()
+        """Return rows as lines of the file; at the end of each stand the schema and the check of all that is before it."""
+        lines = []
+        for row in rows:
+            is_head = row is self.columns
+            body = csv_text([[*row, KEY if is_head else SCHEMA]]).rstrip("\r\n")
+            lines.append(f"{body},{CHECK if is_head else check_of(body)}\r\n")
+        return "".join(lines).encode()
+
+
+def is_as_written(line: str) -> bool:
+    """Return whether a row of results.csv has the check of its text."""
+    body, _, check = line.rpartition(",")
+    return check == check_of(body)
+
+
+def check_of(body: str) -> str:
+    """Return the check of a row of results.csv: the CRC-32 of its text, as a number."""
+    return str(zlib.crc32(body.encode()))
 
 
 def check_replaceable_results(path: Path) -> None:
@@ -381,20 +400,6 @@ def clear_write_errors(path: Path) -> Iterator[None]:
         ) from None
 
 
-def is_possible(row: Row, metrics: Sequence[Metric] = (DELTA_E,)) -> bool:
-    """Return whether the numbers of a row can be those of an evaluation: within bounds, and as each metric allows them together.
-
-    A row is trusted otherwise: its key tells what it is of, not what came out.
-    """
-    bounds = dict.fromkeys(PIXEL_STATISTICS, (0.0, math.inf)) | {name: each.bounds for each in metrics for name in each.columns}
-    values = {name: float(row[name]) for name in bounds}
-    undefined = [name for each in metrics for name in each.variants if each.may_lack(name, values[name])]
-    for name, (low, high) in bounds.items():
-        if name not in undefined and not low - ROUNDING * abs(low) <= values[name] <= high + ROUNDING * abs(high):
-            return False
-    return all(metric.is_possible(tuple(values[name] for name in metric.columns)) for metric in metrics)
-
-
 def not_through_links(path: str, flags: int) -> int:
     """Open a file that is not a link, as `os.open`."""
     return os.open(path, flags | os.O_NOFOLLOW, 0o666)
@@ -404,6 +409,6 @@ def _lines(file: IO[bytes]) -> Iterator[str]:
     """Iterate over the lines of a file that have an end and at most `MAX_LINE` characters."""
     while line := file.readline(MAX_LINE + 1):
         if line.endswith(b"\n"):
-            yield line[:-1].decode(errors="replace").replace("\0", "")
+            yield line.rstrip(b"\r\n").decode(errors="replace").replace("\0", "")
         while not line.endswith(b"\n") and (line := file.readline(MAX_LINE)):
             pass

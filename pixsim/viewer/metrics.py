@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -21,7 +20,6 @@ from pixsim.viewer.score import Score
 # Columns of rows beside those of metrics.
 PIXEL_STATISTICS = ("fill_factor", "full_well_e", "integration_s", "saturated_fraction", "mean_electrons_e")
 OF_PIXEL = ("key", "technology", "pitch_um", "repeat", *PIXEL_STATISTICS)
-ROUNDING = 1e-5  # relative, of means in single precision
 OF_FRAMES = "the frame of a sensor, of which pixsim.evaluate and pixsim.run know the signal and the noise"
 
 
@@ -31,10 +29,6 @@ class NoNumberError(PixsimError):
 
 def _lacks_nothing(asked: MetricContext) -> str:
     return ""
-
-
-def _any_values(values: tuple[float, ...]) -> bool:
-    return True
 
 
 @dataclass(frozen=True)
@@ -52,7 +46,6 @@ class Metric:
     bounds : least and largest value that a number may have
     compute : numbers of a frame under test (`FrameUnderTest`), or of a `Score` where `needs_frame` is false, as `columns`
     lacks : what a configuration would need for the metric to mean something; empty if it has all
-    is_possible : whether such numbers, within the bounds, may stand beside each other
     has_optimum : whether a best pixel size may be told from it
     needs_light : whether it asks for the light of the scene beside the picture, as `FrameUnderTest.expected` has it
     needs_frame : whether it asks for the frame and the sensor behind the picture
@@ -72,7 +65,6 @@ class Metric:
     bounds: tuple[float, float]
     compute: Callable[[Any], tuple[float, ...]] = field(repr=False)
     lacks: Callable[[MetricContext], str] = field(default=_lacks_nothing, repr=False)
-    is_possible: Callable[[tuple[float, ...]], bool] = field(default=_any_values, repr=False)
     has_optimum: bool = True
     needs_light: bool = False
     needs_frame: bool = True
@@ -220,13 +212,6 @@ def columns_with_numbers(metrics: Sequence[Metric], values: Mapping[str, Array |
     return tuple(name for name in columns_of_metrics(metrics) if name not in variants or np.isfinite(values[name]).any())
 
 
-def _rise(values: tuple[float, ...]) -> bool:
-    """Return whether percentiles rise to the maximum, and the mean is not above it."""
-    mean, *rising = values
-    largest = rising[-1] * (1 + ROUNDING)
-    return mean <= largest and all(one <= other * (1 + ROUNDING) for one, other in pairwise(rising))
-
-
 def _delta_e(score: Score) -> tuple[float, ...]:
     return delta_e_statistics(score.delta_e)
 
@@ -243,7 +228,6 @@ DELTA_E = Metric(
     bounds=(0.0, 1e3),  # of any two colours: black and white differ by 100, the most saturated ones by 260
     compute=_delta_e,
     needs_frame=False,
-    is_possible=_rise,
 )
 
 

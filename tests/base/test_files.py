@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 
 from pixsim.base.errors import PixsimError
-from pixsim.base.files import PROVENANCE, SETTLED_NS, check_replaceable, digest_of, listed_files, publishing
+from pixsim.base.files import LIST, LIST_OF_1_1, SETTLED_NS, check_replaceable, digest_of, publishing, read_list
 
 
-def publish(folder: Path, command: str = "run", keep: Path | None = None, **texts: str) -> None:
+def publish(folder: Path, **texts: str) -> None:
     """Publish files `name`.txt; an underscore in a name is a folder."""
-    with publishing(folder, command, keep=[keep] if keep else []) as unfinished:
+    with publishing(folder) as unfinished:
         for name, text in texts.items():
             path = unfinished / f"{name.replace('_', '/')}.txt"
             path.parent.mkdir(exist_ok=True)
@@ -24,41 +24,56 @@ def publish(folder: Path, command: str = "run", keep: Path | None = None, **text
 
 
 def contents(folder: Path) -> dict[str, str]:
-    files = (path for path in folder.rglob("*") if path.is_file() and path.name != PROVENANCE)
+    files = (path for path in folder.rglob("*") if path.is_file() and path.name != LIST)
     return {path.relative_to(folder).as_posix(): path.read_text() for path in files}
 
 
-def test_publishing_again_replaces_own_files_and_removes_stale_ones(tmp_path: Path) -> None:
+def test_publishing_again_replaces_files_of_pixsim_and_leaves_all_others(tmp_path: Path) -> None:
+    """Also those that a user has changed; files of an earlier command stay, and are known."""
     (tmp_path / "mine.txt").write_text("mine")
     publish(tmp_path, a="1", figures_b="2", figures_c="3")
     assert contents(tmp_path) == {"mine.txt": "mine", "a.txt": "1", "figures/b.txt": "2", "figures/c.txt": "3"}
+    (tmp_path / "a.txt").write_text("9")
     publish(tmp_path, a="4", figures_b="2")
-    assert contents(tmp_path) == {"mine.txt": "mine", "a.txt": "4", "figures/b.txt": "2"}
-    publish(tmp_path, a="4")
-    assert {path.name for path in tmp_path.iterdir()} == {"mine.txt", "a.txt", PROVENANCE}, "and the empty folder"
+    assert contents(tmp_path) == {"mine.txt": "mine", "a.txt": "4", "figures/b.txt": "2", "figures/c.txt": "3"}
+    (tmp_path / "figures/b.txt").unlink()
+    publish(tmp_path, d="5")
+    assert read_list(tmp_path)["files"] == ["a.txt", "d.txt", "figures/c.txt"]
 
 
-@pytest.mark.parametrize("change", ["replaced", "folder", "dangling link", "foreign provenance", "no provenance"])
+@pytest.mark.parametrize("change", ["not listed", "folder", "dangling link", "foreign list", "no list"])
 def test_check_replaceable_file_of_another_program_raises(change: str, tmp_path: Path) -> None:
     """Also at the end of a command, before anything is moved: a file may have come meanwhile."""
     publish(tmp_path, a="1", b="2")
     path = tmp_path / "a.txt"
-    if change == "replaced":
-        path.write_text("9")  # of the same size
+    if change == "not listed":
+        (tmp_path / "c.txt").write_text("9")
     elif change in ("folder", "dangling link"):
         path.unlink()
         path.mkdir() if change == "folder" else path.symlink_to(tmp_path / "gone")
-    elif change == "foreign provenance":
-        (tmp_path / PROVENANCE).write_text('{"files": {"a.txt": 1}}')
+    elif change == "foreign list":
+        (tmp_path / LIST).write_text('{"files": ["a.txt"]}')
     else:
-        (tmp_path / PROVENANCE).unlink()
+        (tmp_path / LIST).unlink()
     before = sorted((path.name, path.is_file() and path.read_bytes()) for path in tmp_path.iterdir())
-    named = PROVENANCE if change == "foreign provenance" else "a.txt"
+    named = {"foreign list": LIST, "not listed": "c.txt"}.get(change, "a.txt")
     with pytest.raises(PixsimError, match=rf"holds .*{named}.*Choose another with --out"):
         check_replaceable(tmp_path, ["a.txt", "c.txt"])
     with pytest.raises(PixsimError, match=named):
-        publish(tmp_path, a="new", b="new")
+        publish(tmp_path, a="new", c="new")
     assert sorted((path.name, path.is_file() and path.read_bytes()) for path in tmp_path.iterdir()) == before
+
+
+def test_files_of_a_folder_of_release_1_1_are_replaced(tmp_path: Path) -> None:
+    """Its list is provenance.json, with digests."""
+    (tmp_path / "a.txt").write_text("of 1.1")
+    listing = {"schema": 1, "versions": {"pixsim": "1.1.0"}, "files": {"a.txt": {"command": "run", "digests": ["0" * 32]}}}
+    (tmp_path / LIST_OF_1_1).write_text(json.dumps(listing))
+    publish(tmp_path, a="new")
+    assert contents(tmp_path)["a.txt"] == "new"
+    (tmp_path / "b.txt").write_text("mine")
+    with pytest.raises(PixsimError, match=r"holds b\.txt, not written by pixsim"):
+        publish(tmp_path, b="new")
 
 
 def test_check_replaceable_own_or_missing_files_pass(tmp_path: Path) -> None:
@@ -67,47 +82,6 @@ def test_check_replaceable_own_or_missing_files_pass(tmp_path: Path) -> None:
     check_replaceable(tmp_path, ["a.txt"])
     publish(tmp_path, a="1")
     check_replaceable(tmp_path, ["a.txt"])
-
-
-def test_publishing_changed_stale_file_stays(tmp_path: Path) -> None:
-    publish(tmp_path, a="1", b="2")
-    (tmp_path / "b.txt").write_text("edited by the user")
-    publish(tmp_path, a="3")
-    assert contents(tmp_path) == {"a.txt": "3", "b.txt": "edited by the user"}
-
-
-def test_publishing_other_command_leaves_files_and_knows_them(tmp_path: Path) -> None:
-    publish(tmp_path, "run", a="1", b="2")
-    publish(tmp_path, "sfr", c="3")
-    assert contents(tmp_path) == {"a.txt": "1", "b.txt": "2", "c.txt": "3"}
-    publish(tmp_path, "run", a="4")
-    assert contents(tmp_path) == {"a.txt": "4", "c.txt": "3"}
-
-
-def test_publishing_kept_file_stays_listed(tmp_path: Path) -> None:
-    """A picture that a run reads may lie in the run's own folder."""
-    publish(tmp_path, a="1", b="2")
-    publish(tmp_path, keep=tmp_path / "b.txt", a="3")
-    assert contents(tmp_path) == {"a.txt": "3", "b.txt": "2"}
-    publish(tmp_path, a="3")
-    assert contents(tmp_path) == {"a.txt": "3"}
-
-
-def test_publishing_names_outside_folder_are_never_touched(tmp_path: Path) -> None:
-    """A provenance file may come from elsewhere."""
-    outside, folder = tmp_path / "outside", tmp_path / "folder"
-    for path in (outside, folder):
-        path.mkdir()
-    publish(outside, a="1")
-    (folder / "link").symlink_to(outside)
-    entry = listed_files(outside)
-    assert entry
-    names = ["../outside/a.txt", str(outside / "a.txt"), "link/a.txt", "", "a\0b"]
-    listing = {"versions": {"pixsim": "0"}, "files": dict.fromkeys(names, entry["a.txt"])}
-    (folder / PROVENANCE).write_text(json.dumps(listing))
-    assert listed_files(folder) == {}
-    publish(folder, b="2")
-    assert contents(outside) == {"a.txt": "1"}
 
 
 def test_publishing_killed_between_moves_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -125,17 +99,17 @@ def test_publishing_killed_between_moves_is_resumed(tmp_path: Path, monkeypatch:
     with monkeypatch.context() as patch:
         patch.setattr(os, "replace", fails)
         with pytest.raises(KeyboardInterrupt):
-            publish(tmp_path, a="3", b="4")
+            publish(tmp_path, a="3", b="4", c="5")
     assert contents(tmp_path) == {"a.txt": "3", "b.txt": "2"}
-    check_replaceable(tmp_path, ["a.txt", "b.txt"])
-    publish(tmp_path, a="5", b="6")
-    assert contents(tmp_path) == {"a.txt": "5", "b.txt": "6"}
+    check_replaceable(tmp_path, ["a.txt", "b.txt", "c.txt"])
+    publish(tmp_path, a="5", b="6", c="7")
+    assert contents(tmp_path) == {"a.txt": "5", "b.txt": "6", "c.txt": "7"}
 
 
 def test_publishing_failure_leaves_folder_unchanged(tmp_path: Path) -> None:
     publish(tmp_path, a="1")
     before = {name: (tmp_path / name).read_bytes() for name in os.listdir(tmp_path)}
-    with pytest.raises(KeyboardInterrupt), publishing(tmp_path, "run") as unfinished:
+    with pytest.raises(KeyboardInterrupt), publishing(tmp_path) as unfinished:
         raise KeyboardInterrupt(unfinished.joinpath("a.txt").write_text("2"))
     assert {name: (tmp_path / name).read_bytes() for name in os.listdir(tmp_path)} == before
 
@@ -159,7 +133,8 @@ def test_digest_of_sees_each_change(age: str, tmp_path: Path, monkeypatch: pytes
 def test_digest_of_unchanged_file_is_not_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.txt"
     path.write_text("one")
-    first = digest_of(path, alone=True)
-    monkeypatch.setattr("pixsim.base.files.DIGEST_BLOCK", 0)  # nothing can be read
-    assert digest_of(path, alone=True) == first
-    assert digest_of(path) != first, "it may have been changed since, within a step of the clock"
+    os.utime(path, (1, 1))
+    monkeypatch.setattr("pixsim.base.files.time.time_ns", lambda: time.clock_gettime_ns(time.CLOCK_REALTIME) + 3 * SETTLED_NS)
+    first = digest_of(path)
+    monkeypatch.setattr(hashlib, "file_digest", None)
+    assert digest_of(path) == first

@@ -13,7 +13,7 @@ import pytest
 from helpers.commands import assert_refused, command
 
 from pixsim.base.errors import PixsimError
-from pixsim.base.files import PROVENANCE, check_replaceable, output_folder, publishing, write_new
+from pixsim.base.files import LIST, check_replaceable, output_folder, publishing, write_new
 from pixsim.base.locks import LOCK
 from pixsim.base.tables import rows_csv
 from pixsim.light.exr import write_exr
@@ -113,7 +113,7 @@ def test_a_stream_of_this_process_gets_the_content_where_it_stands(name: str, tm
 
 def test_a_link_to_itself_is_refused(tmp_path: Path) -> None:
     (tmp_path / "x.exr").symlink_to("x.exr")
-    with pytest.raises(PixsimError, match=r"x\.exr', a link that leads to itself"):
+    with pytest.raises(PixsimError, match=r"x\.exr' \(Too many levels of symbolic links\)"):
         WRITERS["light.exr"](tmp_path / "x.exr")
 
 
@@ -142,12 +142,12 @@ def contents(folder: Path) -> dict[str, str]:
 
 
 def publish(folder: Path) -> None:
-    with output_folder(folder) as place, publishing(place, "run") as unfinished:
+    with output_folder(folder) as place, publishing(place) as unfinished:
         (unfinished / "figures").mkdir()
         (unfinished / "figures/a.csv").write_text("new")
 
 
-@pytest.mark.parametrize("linked", ["figures", "figures/a.csv", PROVENANCE, LOCK])
+@pytest.mark.parametrize("linked", ["figures", "figures/a.csv", LIST, LOCK])
 def test_publishing_never_goes_through_a_link_in_the_folder(linked: str, theirs: Path, tmp_path: Path) -> None:
     link = tmp_path / "out" / linked
     link.parent.mkdir(parents=True)
@@ -156,19 +156,8 @@ def test_publishing_never_goes_through_a_link_in_the_folder(linked: str, theirs:
         publish(tmp_path / "out")
     assert (contents(theirs), link.is_symlink()) == ({"a.csv": "mine"}, True)
     if linked != LOCK:
-        with pytest.raises(PixsimError, match=f"which holds {linked}, not written by pixsim"):
+        with pytest.raises(PixsimError, match=f"which holds .*{linked}.*, not written by pixsim"):
             check_replaceable(tmp_path / "out", ["figures/a.csv"])  # before anything is computed
-
-
-def test_publishing_does_not_follow_a_link_that_comes_meanwhile(
-    theirs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """After the check, and before the files are moved."""
-    out = tmp_path / "out"
-    monkeypatch.setattr("pixsim.base.files.files_are_finished", lambda: (out / "figures").symlink_to(theirs))
-    with pytest.raises(PixsimError, match=r"figures', a link or a file"):
-        publish(out)
-    assert contents(theirs) == {"a.csv": "mine"}
 
 
 def test_publishing_into_a_linked_folder_works(theirs: Path, tmp_path: Path) -> None:

@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 
 from pixsim.base.errors import PixsimError
-from pixsim.base.files import PROVENANCE, check_replaceable, publishing, write_json
+from pixsim.base.files import LIST, check_replaceable, publishing, write_json
 from pixsim.base.schema import CHANGES, KEY, SCHEMA
 from pixsim.base.toml import HEAD, read_toml, settings_table_text
 from pixsim.cli.options import answer
 from pixsim.show.document import Document
-from pixsim.studies.table import COLUMNS, Store
+from pixsim.studies.table import CHECK, COLUMNS, Store, check_of
 
 
 def row(number: int) -> dict[str, str]:
@@ -27,10 +27,10 @@ def edited(path: Path, change: str) -> bytes:
     with path.open(newline="") as file:
         rows = list(csv.reader(file))
     if change == "none":
-        rows = [line[:-1] for line in rows]
+        rows = [line[:-2] for line in rows]
     else:
         for line in rows[1 if change == "all" else -1 :]:
-            line[-1] = str(SCHEMA + 1)
+            line[-2:] = [str(SCHEMA + 1), check_of(",".join([*line[:-2], str(SCHEMA + 1)]))]
     with path.open("w", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows(rows)
     return path.read_bytes()
@@ -47,9 +47,9 @@ def test_json_files_and_output_state_the_schema(tmp_path, capsys):
     assert json.loads(capsys.readouterr().out) == {KEY: SCHEMA, "mean_delta_e": 1.5}
     answer(Document("schema", "", "", {"$schema": "https://json-schema.org/draft/2020-12/schema"}), True)
     assert KEY not in json.loads(capsys.readouterr().out)
-    with publishing(tmp_path, "run") as folder:
+    with publishing(tmp_path) as folder:
         (folder / "a.txt").write_text("a")
-    assert json.loads((tmp_path / PROVENANCE).read_text())[KEY] == SCHEMA
+    assert json.loads((tmp_path / LIST).read_text())[KEY] == SCHEMA
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_rows_of_another_schema_are_kept_apart_and_computed_again(tmp_path, chan
         assert list(results.resume(lambda row: True)) == kept
     assert len(told) == 1
     assert (tmp_path / "results.csv.old").read_bytes() == before
-    assert results.path.read_text().splitlines()[0] == ",".join([*COLUMNS, KEY])
+    assert results.path.read_text().splitlines()[0] == ",".join([*COLUMNS, KEY, CHECK])
     assert [line.partition(",")[0] for line in results.path.read_text().splitlines()[1:]] == kept
 
 
@@ -97,9 +97,9 @@ def test_settings_of_another_schema(tmp_path):
 
 @pytest.mark.parametrize("stated", [SCHEMA + 1, 0, True, "one", 1.5, [1]])
 def test_folder_of_a_newer_version_is_refused(tmp_path, stated):
-    with publishing(tmp_path, "run") as folder:
+    with publishing(tmp_path) as folder:
         (folder / "a.txt").write_text("a")
-    path = tmp_path / PROVENANCE
+    path = tmp_path / LIST
     content = json.loads(path.read_text())
     check_replaceable(tmp_path, ["a.txt"])
     path.write_text(json.dumps({name: value for name, value in content.items() if name != KEY}))

@@ -20,7 +20,7 @@ from pixsim.scene.packaged import packaged_scenes
 
 RUN_FILES = {
     "results.csv", "irradiance.exr", "raw.exr", "ideal.png", "image.png", "delta_e.exr", "delta_e.png", "score.json",
-    "settings.toml", "provenance.json",
+    "settings.toml", "pixsim.json",
     "report.html",
 }  # fmt: skip
 SMALL = "--resolution 64 --display.dots 64"
@@ -260,7 +260,7 @@ def test_run_is_reproducible_on_one_core_and_elsewhere(desk: Path, tmp_path_fact
     subprocess.run([sys.executable, "-c", ONE_CORE, *shlex.split(line + "there")], cwd=elsewhere, check=True, timeout=HANG_S)
     here, there = contents(desk / "here"), contents(elsewhere / "there")
     assert here.keys() == there.keys() == RUN_FILES
-    assert [name for name in here if here[name] != there[name]] in ([], ["provenance.json"])  # it contains times
+    assert [name for name in here if here[name] != there[name]] in ([], ["pixsim.json"])  # it contains times
     assert command(f"run csf {SMALL} --seed 4 --out other")[0] == 0
     assert contents(desk / "other")["raw.exr"] != here["raw.exr"]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import struct
 import zlib
 from collections.abc import Callable
@@ -14,7 +13,6 @@ from hypothesis import strategies as st
 from PIL import Image
 
 import pixsim
-from pixsim.base.schema import KEY, SCHEMA
 from pixsim.cli.options import SceneOptions
 from pixsim.light.curves import read_curve
 from pixsim.light.exr import write_exr
@@ -77,10 +75,7 @@ def light(factored: bool = False) -> SpectralImage:
 
 
 def rows(path: Path) -> None:
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow([*COLUMNS, KEY])
-        writer.writerows([f"key{n}", "0.35um", *["1.5"] * (len(COLUMNS) - 2), SCHEMA] for n in range(3))
+    Store(path).write([f"key{n}", "0.35um", *["1.5"] * (len(COLUMNS) - 2)] for n in range(3))
 
 
 def read_rows(path: Path) -> object:

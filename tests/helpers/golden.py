@@ -210,7 +210,7 @@ QUICK = (
 # What depends on the clock, the machine or the version, and what is computed but not a result.
 NOT_NUMBERS = {
     *("seconds", "stage_seconds", "wall_s", "time_s", "cpu_s", "memory_bytes", "estimate", "created", "versions", "machine"),
-    *("stages", "pixsim", "schema", "key", "files"),
+    *("stages", "pixsim", "schema", "key", "files", "check", "written"),
 }
 
 
@@ -264,7 +264,7 @@ BITS = "bits"
 def file_numbers(path: Path, place: str) -> Iterator[tuple[str, float]]:
     """What is compared of a file, which is nothing of a page or of a picture."""
     match path.suffix:
-        case ".json" if path.name != "provenance.json":
+        case ".json" if path.name not in ("pixsim.json", "provenance.json"):
             yield from json_numbers(json.loads(path.read_text(encoding="utf-8")), place)
         case ".csv":
             yield from table_numbers(path, place)

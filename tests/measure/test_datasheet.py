@@ -41,7 +41,7 @@ from pixsim.sensor.readout import dark_spread_e, frame_mean_dn, frame_variance_d
 
 QUIET = {"prnu": 0.0, "dsnu": 0.0, "offset_fpn": 0.0, "column_fpn": 0.0}
 COLOUR_DATA = Path(__file__).parents[1] / "data" / "colour" / "matrices.npz"
-FILES = {"datasheet.csv", "summary.json", "report.html", "provenance.json", "figures"}
+FILES = {"datasheet.csv", "summary.json", "report.html", "pixsim.json", "figures"}
 
 
 @pytest.fixture(scope="module")
@@ -508,7 +508,7 @@ def test_datasheet_of_python_and_of_the_command_write_same_files(tmp_path: Path,
     made = pixsim.datasheet(file, pixel={"bits": 12}, exposure={"integration_s": 0.01})
     assert json.loads(out) == {"schema": SCHEMA} | json.loads(json.dumps(made.as_dict()))
     written = {path: path.read_bytes() for path in (tmp_path / "command").rglob("*") if path.is_file()}
-    assert {path.relative_to(tmp_path / "command").as_posix() for path in written} == {*PLANNED, "provenance.json"}
+    assert {path.relative_to(tmp_path / "command").as_posix() for path in written} == {*PLANNED, "pixsim.json"}
     assert made.to_csv().encode() == written[tmp_path / "command/datasheet.csv"]
     pictures = {path: written.pop(path) for path in list(written) if path.suffix == ".pdf"}
     assert {path.stem for path in pictures} == {path.stem for path in written if path.suffix == ".svg"} != set()
@@ -517,7 +517,7 @@ def test_datasheet_of_python_and_of_the_command_write_same_files(tmp_path: Path,
         assert b"DejaVuSans" in content, "text is text"
     assert made.write(tmp_path / "command") == tmp_path / "command/report.html"
     assert not any(path.exists() for path in pictures), "they are gone where they are not asked for"
-    del written[tmp_path / "command/provenance.json"]  # it lists them
+    del written[tmp_path / "command/pixsim.json"]  # it lists them
     for path, content in written.items():
         assert path.read_bytes() == content, path
     drawn = datasheet_document(made).plots[0].draw().drawn("pdf")
@@ -564,7 +564,7 @@ def test_datasheet_command_options_and_file_write_same_files(tmp_path: Path, mon
     assert "DSNU_1288" in out
     assert {path.name for path in folders[0].iterdir()} == FILES
     names = [path.relative_to(folders[0]) for path in folders[0].rglob("*") if path.is_file()]
-    assert {name.as_posix() for name in names} == {name for name in PLANNED if not name.endswith(".pdf")} | {"provenance.json"}
+    assert {name.as_posix() for name in names} == {name for name in PLANNED if not name.endswith(".pdf")} | {"pixsim.json"}
     assert len(names) == 4 + 2 * 8
     for name in names:
         assert (folders[0] / name).read_bytes() == (folders[1] / name).read_bytes(), name

@@ -541,7 +541,7 @@ def test_sfr_command_writes_files(tmp_path: Path) -> None:
     assert sfr_parts(result)[0] in "".join(page.words)
     assert page.tags.count("img") == 2
     assert {path.name for path in (tmp_path / "o").iterdir()} == {
-        "sfr.csv", "sfr.svg", "edge_spread.csv", "edge_spread.svg", "summary.json", "provenance.json", "report.html"
+        "sfr.csv", "sfr.svg", "edge_spread.csv", "edge_spread.svg", "summary.json", "pixsim.json", "report.html"
     }  # fmt: skip
     first = (tmp_path / "o/sfr.csv").read_text(encoding="utf-8").splitlines()
     assert first[0] == "frequency_cy_per_px,sfr,sfr_low,sfr_high,frequency_cy_per_mm"

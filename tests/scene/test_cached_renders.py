@@ -60,7 +60,7 @@ def run(out: Path) -> dict[str, bytes]:
         warnings.simplefilter("ignore")
         code, _, err = command(RUN, out)
     assert code == 0, err
-    return {path.name: path.read_bytes() for path in out.iterdir() if path.name != "provenance.json"}
+    return {path.name: path.read_bytes() for path in out.iterdir() if path.name != "pixsim.json"}
 
 
 def test_render_cache_empty_warm_or_off_gives_equal_bytes(tmp_path, rendered, monkeypatch):

@@ -126,19 +126,18 @@ def test_page_of_one_section_has_no_contents(count: int) -> None:
 def test_write_writes_page_figures_data_and_files(tmp_path: Path) -> None:
     page = render.write(document(files={"sizes.csv": "a\r\n1\r\n"}), tmp_path / "out")
     names = {path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*") if path.is_file()}
-    assert names == {"report.html", "summary.json", "sizes.csv", "figures/line.svg", "figures/line.csv", "provenance.json"}
+    assert names == {"report.html", "summary.json", "sizes.csv", "figures/line.svg", "figures/line.csv", "pixsim.json"}
     assert page.read_text(encoding="utf-8").count("download=") == 1
 
 
-def test_write_publishes_arrays_and_parts_with_a_document_and_leaves_its_sources(tmp_path: Path) -> None:
+def test_write_publishes_arrays_and_parts_with_a_document(tmp_path: Path) -> None:
     folder = tmp_path / "out"
-    render.write(document(files={"source.txt": "of an earlier document", "old.txt": ""}, sections=()), folder)
     part = document(sections=(), figures=".", lead=(Plot(plate),), data_file="part.json", page="part.html")
     content = {"writers": (lambda unfinished: (unfinished / "a.exr").write_bytes(b"array"),), "parts": {".": part, "case": part}}
-    render.write(document(**content, sources=(folder / "source.txt",), sections=(), files={"page.csv": "a"}), folder)
+    render.write(document(**content, sections=(), files={"page.csv": "a"}), folder)
     names = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
     own = {"part.html", "part.json", "line.svg", "line.csv"}
-    whole = {"a.exr", "page.csv", "report.html", "summary.json", "provenance.json", "source.txt"}
+    whole = {"a.exr", "page.csv", "report.html", "summary.json", "pixsim.json"}
     assert names == whole | own | {f"case/{name}" for name in own}
 
 

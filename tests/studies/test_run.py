@@ -18,7 +18,7 @@ from scipy import stats
 import pixsim
 from pixsim.base.caller import command_line
 from pixsim.base.digits import estimate
-from pixsim.base.files import PROVENANCE
+from pixsim.base.files import LIST
 from pixsim.base.schema import SCHEMA
 from pixsim.report.run import run_document, shown_mean_of
 from pixsim.sensor.pixel import spread_registration
@@ -42,7 +42,7 @@ def test_run_writes_what_the_command_writes(made: RunResult, tmp_path: Path) -> 
     with command_line():  # its page names settings as options
         assert made.write(tmp_path / "python") == tmp_path / "python/report.html"
     by_command, by_python = (
-        {path.name: path.read_bytes() for path in (tmp_path / folder).iterdir() if path.name != PROVENANCE}
+        {path.name: path.read_bytes() for path in (tmp_path / folder).iterdir() if path.name != LIST}
         for folder in ("command", "python")
     )
     assert by_python == by_command

@@ -71,7 +71,7 @@ def by_command(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_study_command_writes_files_and_prints_optimum(by_command: Path, done: tuple[StudyResult, Path]) -> None:
     out = by_command / "out"
     assert {path.name for path in out.iterdir()} == {
-        *("results.csv", "settings.toml", "summary.json", "report.html", "provenance.json", "figures")
+        *("results.csv", "settings.toml", "summary.json", "report.html", "pixsim.json", "figures")
     }
     figures = {path.name for path in (out / "figures").iterdir()}
     assert {"delta_e_against_pitch.svg", "pictures_0.35um.svg"} <= figures

@@ -13,7 +13,7 @@ from helpers.tiny import TINY, rows, tiny
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.base.files import PROVENANCE
+from pixsim.base.files import LIST
 
 SMALL: dict[str, Any] = {"resolution": 48, "display": {"dots": 48}, "repeats": 3}
 
@@ -76,11 +76,11 @@ def test_a_folder_of_another_version_is_named_as_such(folders: dict[str, Path], 
     for path in folders["quiet"].iterdir():
         if path.is_file():
             (tmp_path / path.name).write_bytes(path.read_bytes())
-    provenance = json.loads((tmp_path / PROVENANCE).read_text(encoding="utf-8"))
+    provenance = json.loads((tmp_path / LIST).read_text(encoding="utf-8"))
     provenance["versions"]["pixsim"] = "1.0.3"
-    (tmp_path / PROVENANCE).write_text(json.dumps(provenance), encoding="utf-8")
+    (tmp_path / LIST).write_text(json.dumps(provenance), encoding="utf-8")
     assert_refused(*command("compare", folders["quiet"], tmp_path), [f"'{tmp_path}', of pixsim 1.0.3", "Make it again"])
-    (tmp_path / PROVENANCE).write_bytes((folders["quiet"] / PROVENANCE).read_bytes())
+    (tmp_path / LIST).write_bytes((folders["quiet"] / LIST).read_bytes())
     (tmp_path / "results.csv").unlink()
     assert_refused(*command("compare", folders["quiet"], tmp_path), ["without results.csv"])
     (tmp_path / "score.json").unlink()

@@ -61,7 +61,7 @@ def check(accuracy: Accuracy, folder: Path) -> None:
     """Checks the files of a result."""
     report = accuracy.write(folder)
     made = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
-    assert made == {name for name in FILES if not name.endswith(".pdf")} | {"provenance.json"}
+    assert made == {name for name in FILES if not name.endswith(".pdf")} | {"pixsim.json"}
     assert accuracy.to_csv().encode() == (folder / "ladder.csv").read_bytes()
     text = report.read_text(encoding="utf-8")
     assert "by &lt;hand&gt;" in text
