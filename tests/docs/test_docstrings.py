@@ -59,15 +59,15 @@ KERNELS = (
 EXCEPTIONS = {
     ("source", "pixsim.sensor.quantise"): "rounding",
     ("source", "pixsim.sensor.shot_noise"): "Poisson's law, as NumPy draws it",
-    ("source", "pixsim.sensor.pixel.given_efficiency"): "from the data sheet",
-    ("source", "pixsim.viewer.display.pixel_edges_um"): "positions of pixels",
-    ("source", "pixsim.viewer.display.average_axis"): "the mean of a spline",
-    ("source", "pixsim.viewer.display.means_on_dots"): "the mean of a picture",
+    ("source", "pixsim.pixel.given_efficiency"): "from the data sheet",
+    ("source", "pixsim.display.pixel_edges_um"): "positions of pixels",
+    ("source", "pixsim.display.average_axis"): "the mean of a spline",
+    ("source", "pixsim.display.means_on_dots"): "the mean of a picture",
     ("source", "pixsim.make_chart"): "the charts name theirs",
-    ("source", "pixsim.scene.charts.siemens_star"): "sectors",
-    ("source", "pixsim.scene.charts.flat"): "ones",
-    ("source", "pixsim.scene.charts.target"): "areas",
-    ("errors", "pixsim.sensor.photodiode.default_diode"): "it has no arguments that could be invalid",
+    ("source", "pixsim.charts.make_chart"): "the charts name theirs",
+    ("source", "pixsim.charts.siemens_star"): "sectors",
+    ("source", "pixsim.charts.flat"): "ones",
+    ("source", "pixsim.charts.target"): "areas",
 }
 
 

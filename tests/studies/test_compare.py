@@ -435,7 +435,7 @@ def test_film_is_fine_enough_for_each(tmp_path: Path) -> None:
         (["a.toml", "."], {}, ["sensor", "'.'", "a TOML file"]),
         (["a.toml", "scene.toml"], {}, ["scene.toml", "no table [pixel]", "pixsim template sensor"]),
         (["a.toml", "wrong.toml"], {}, ["wrong.toml", "pixel.full_wel_e", "full_well_e"]),
-        (["a.toml", "b.toml"], {"match": "field"}, ["match", "'field'", "'view', 'lens', 'own'"]),
+        (["a.toml", "b.toml"], {"match": "field"}, ["match", "'field'", "'view', 'lens' or 'own'"]),
         (["a.toml", "b.toml"], {"repeats": 1}, ["repeats", "2 to 10000"]),
         (["a.toml", "b.toml"], {"repeats": 10**9}, ["repeats", "2 to 10000"]),
         (["a.toml", "b.toml"], {"scene": "cfs"}, ["cfs", "csf"]),
