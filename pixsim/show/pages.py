@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import wraps
-from typing import TYPE_CHECKING, Literal, NamedTuple, ParamSpec, TypeAlias
+from typing import TYPE_CHECKING, Literal, ParamSpec, TypeAlias
 
 import numpy as np
 
@@ -60,14 +60,7 @@ class Plate:
 Drawing: TypeAlias = tuple["Figure", Mapping[str, Array | Column]]  # a figure, and the columns of its CSV
 
 
-class RegisteredFigure(NamedTuple):
-    """A kind of figure: the function that draws it of a result, and its caption."""
-
-    draw: Callable[..., Plate]
-    caption: str
-
-
-FIGURES: dict[str, RegisteredFigure] = {}  # name -> figure, of the modules that are imported
+FIGURES: dict[str, str] = {}  # name -> caption, of the figures of the modules that are imported
 
 
 def figure(name: str, caption: str) -> Callable[[Callable[P, Drawing]], Callable[P, Plate]]:
@@ -86,7 +79,7 @@ def figure(name: str, caption: str) -> Callable[[Callable[P, Drawing]], Callable
                 drawing, columns = draw(*args, **options)
             return Plate(name, caption, drawing, _table_of(columns))
 
-        FIGURES[name] = RegisteredFigure(plate, caption)
+        FIGURES[name] = caption
         return plate
 
     return register

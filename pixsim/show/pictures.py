@@ -228,23 +228,20 @@ class Window:
         return self.left + self.width / 2, self.top + self.height / 2
 
 
-def windows(shape: tuple[int, int]) -> list[Window]:
-    """Return all details of a picture of `shape` dots, a quarter of their width apart, up to its edges."""
-    height, width = shape
-    side = min(DETAIL_DOTS, height, width)
-    step = max(1, side // DETAIL_STEPS)
-    tops, lefts = ([*range(0, dots - side, step), dots - side] for dots in shape)
-    return [Window(top / height, left / width, side / height, side / width) for top in tops for left in lefts]
-
-
 def window_at(centre: tuple[float, float], shape: tuple[int, int]) -> Window:
     """Return the detail around a position (across, down; fractions), shifted inwards at an edge."""
     height, width = shape
     side = min(DETAIL_DOTS, height, width)
-    left, top = np.clip(
-        (round(centre[0] * width - side / 2), round(centre[1] * height - side / 2)), 0, (width - side, height - side)
-    )
+    left = min(max(round(centre[0] * width - side / 2), 0), width - side)
+    top = min(max(round(centre[1] * height - side / 2), 0), height - side)
     return Window(top / height, left / width, side / height, side / width)
+
+
+def windows(shape: tuple[int, int]) -> list[Window]:
+    """Return details of a picture of `shape` dots, a quarter of their width apart, up to its edges."""
+    side = min(DETAIL_DOTS, *shape)
+    down, across = (np.linspace(0, 1, DETAIL_STEPS * dots // side + 1).tolist() for dots in shape)
+    return [window_at((x, y), shape) for y in down for x in across]
 
 
 def worst_window(maps: Sequence[Array]) -> Window:
