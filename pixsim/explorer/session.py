@@ -21,6 +21,7 @@ from pixsim.base.progress import Progress
 from pixsim.base.records import content_hash
 from pixsim.base.toml import SETTINGS_FILE, packaged
 from pixsim.explorer.controls import LENS, NO_LENS, PITCH, Preset, command_words, controls_of, presets_of, with_values
+from pixsim.light.quantities import LUMINANCE
 from pixsim.light.spectral import SpectralImage
 from pixsim.report.run import run_document, run_settings_text
 from pixsim.show.pictures import delta_e_colours, display_codes, png_bytes, scale_end
@@ -197,7 +198,7 @@ class Session:
 
     def _light_key(self, job: Job[Run]) -> str:
         """Return what light must have in common to serve for a first picture: all but the accuracy that each pixel asks for."""
-        bands = [] if job.cases[0].picture else job.request.plan.bands.edges_nm.tolist()
+        bands = [] if job.cases[0].picture else job.request.plan.light.bands.edges_nm.tolist()
         return content_hash([job.settings.model_dump(mode="json", include=LIGHT), job.camera.model_dump(mode="json"), bands])
 
     def _kept(self, job: Job[Run]) -> LitRun | None:
@@ -205,7 +206,7 @@ class Session:
         case, key = job.cases[0], self._light_key(job)
         if case.picture is not None and key not in self._lights:
             self._keep(LitRun(job, case.picture))
-        elif key not in self._lights and job.request.plan.exact:
+        elif key not in self._lights and job.request.plan.samples.exact:
             self._keep(LitRun(job, job.request.render(job.request.first, job.request.plan)[0], None, job.request.plan))
         if key not in self._lights:
             return None
@@ -260,7 +261,7 @@ class Session:
             value = next((each for place in places if (each := getattr(place, name, None)) is not None), None)
             if table == "scene":
                 given = settings.scene.get(name, result.prepared.cases[0].scene.text().defaults.get(name))
-                value = result.plan.white_cd_per_m2 if given is None and result.plan else given
+                value = result.plan.light.chart_white.get(LUMINANCE) if given is None and result.plan else given
             shown[control.path] = settings.lens.file or NO_LENS if control.path == LENS else control.shown(value)
         return shown
 

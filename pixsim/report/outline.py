@@ -103,15 +103,16 @@ def plan_document(plan: Plan, scene: str, settings: Run) -> Document:
         bound = bound if decision.bounded else "unknown"
         kept = "kept" if decision.kept else "left out"
         rows.append((decision.subject, kept, decision.reason, decision.saved, bound))
-    passes = "no samples" if plan.exact else f"{plan.passes} of {plan.full_passes} passes, each of {plan.spp} samples"
+    light, samples = plan.light, plan.samples
+    passes = "no samples" if samples.exact else f"{light.passes} of {light.full_passes} passes, each of {samples.spp} samples"
     unknown = "" if plan.bounded else " plus unknown terms"
     error = f"relative error of the mean electrons at most {plan.bound_e:.1e}{unknown}, tolerance {plan.tolerance_e:g}"
     blocks: list[Block] = [DocumentTable("decisions", ("", "", "why", "saved", "bound on e-"), rows, words=(1, 2, 3))]
     blocks += [f"warning: {note}" for note in plan.warnings]
-    if plan.in_focus_m is not None:
-        near, far = (f"{end_m:.4g} m" if math.isfinite(end_m) else "infinity" for end_m in plan.in_focus_m)
+    if plan.film.in_focus_m is not None:
+        near, far = (f"{end_m:.4g} m" if math.isfinite(end_m) else "infinity" for end_m in plan.film.in_focus_m)
         blocks.append(f"in focus, with blur of one pixel at most: {near} to {far}")
-    blocks += [f"white: {plan.light_of_white}", f"{passes} (scene file: {plan.full_spp}); {error}"]
+    blocks += [f"white: {light.white_name}", f"{passes} (scene file: {samples.full_spp}); {error}"]
     blocks += [assumption] * bool(assumption)
     data = result_data(
         plan.as_dict() | {"assumption": assumption},

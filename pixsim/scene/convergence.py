@@ -89,7 +89,7 @@ def render_until(
     pixels : the noise is compared with that of each pixel, and the worst counts
     render_noise : target, as a fraction of the sensor's temporal noise, RMS over pixels
     max_seconds : time limit of rendering, with a warning if it is reached; None limits the samples instead, to
-        `Plan.most_samples`, so that the result does not depend on the machine. What the limit finds unfinished is given up.
+        `Plan.max_samples`, so that the result does not depend on the machine. What the limit finds unfinished is given up.
     tolerance_delta_e : limit of `RenderNoise.delta_e`, in place of `render_noise`; None means none
     delta_e_between : returns the mean ΔE between noise-free pictures of two lights
     progress : called with the fraction done and the current noise
@@ -107,7 +107,7 @@ def render_until(
     ends_at_s = None if max_seconds is None else begun_s + (1 + GRACE) * max_seconds + GRACE_S
     job = Renderer(scene, camera, plan, seed, keep=keep, ends_at_s=ends_at_s)
     white = job.diffuser  # now: behind the renders no time may be left for a white plate
-    if plan.exact:
+    if plan.samples.exact:
         pictures, spp = job.run(0, lambda done: progress(done, "") if progress else None)
         noise = RenderNoise(0.0, 0.0, render_noise, 1, "target", 0.0, tolerance_delta_e)
         return job.image(pictures, spp, white, render_noise=asdict(noise)), noise
@@ -118,9 +118,9 @@ def render_until(
     sensed = [[physics.pixel.model_dump(), physics.technology.content] for physics in derived]
     limits = content_hash([sensed, exposure.model_dump(), render_noise, max_seconds, tolerance_delta_e])
     in_time = job.cache.runs_in_time(limits) if job.cache and max_seconds is not None else None
-    samples_of_pair = PAIR * math.prod(job.size) * plan.passes  # for each sample per film cell
-    most = plan.most_samples / samples_of_pair  # per film cell
-    share = _Share(progress, most if plan.many_bounces and max_seconds is None else UNKNOWN * plan.spp, max_seconds)
+    samples_of_pair = PAIR * math.prod(job.size) * plan.light.passes  # for each sample per film cell
+    most = plan.max_samples / samples_of_pair  # per film cell
+    share = _Share(progress, most if plan.many_bounces and max_seconds is None else UNKNOWN * plan.samples.spp, max_seconds)
     ended: EndedBy | None = None
     while ended is None:
         times_s = [time.perf_counter()]
@@ -234,7 +234,7 @@ def _limit_note(ended: EndedBy, plan: Plan, noise: RenderNoise, max_seconds: flo
     """
     limit_s = f"the time limit of {max_seconds or 0:g} s (--max-seconds)"
     causes = {
-        "samples": f"the render ended at its limit of {amount(plan.most_samples, 2)} samples",
+        "samples": f"the render ended at its limit of {amount(plan.max_samples, 2)} samples",
         "max_seconds": f"{limit_s} leaves no time for the next step of the render",
         "runs": f"the render ended at its limit of {noise.runs} renders",
     }
@@ -242,11 +242,14 @@ def _limit_note(ended: EndedBy, plan: Plan, noise: RenderNoise, max_seconds: flo
         remains = "render noise makes up to {} ΔE, {} tolerated".format(*told_apart(noise.delta_e, noise.tolerance_delta_e))
         return Note("render_noise", words=f"{causes[ended]}: {remains}. Raise --max-seconds or --tolerance-delta-e")
     remains = "render noise is {} of the sensor noise, target {}".format(*told_apart(noise.fraction, noise.target))
-    hint = more_samples(noise.fraction, noise.target) if ended == "samples" else RAISE
+    hint = RAISE
+    if ended == "samples":
+        times, seconds = what_reaches(noise.fraction, noise.target)
+        hint = f"{RAISE}: about {times:.15g} times as many samples reach the target, with --max-seconds {seconds:.15g}"
     return Note("render_noise", words=f"{causes[ended]}: {remains}. {hint}")
 
 
-SECONDS_OF_LIMIT = 30.0  # of `Plan.most_samples` on two cores
+SECONDS_OF_LIMIT = 30.0  # of `Plan.max_samples` on two cores
 
 
 def what_reaches(fraction: float, render_noise: float) -> tuple[float, float]:
@@ -256,21 +259,6 @@ def what_reaches(fraction: float, render_noise: float) -> tuple[float, float]:
     """
     times = float(f"{(fraction / render_noise) ** 2:.2g}")
     return times, float(f"{max(1.0, 2 * SECONDS_OF_LIMIT * times):.1g}")
-
-
-def more_samples(fraction: float, render_noise: float) -> str:
-    """Return what a render noise above its target does to the picture, and what reaches the target.
-
-    >>> more_samples(1.6, 0.2)[:118]
-    'The picture has 1.89 times the noise of the sensor alone. About 64 times as many samples reach the target: --max-secon'
-    """
-    times, seconds = what_reaches(fraction, render_noise)
-    noisier = math.hypot(1.0, fraction)
-    return (
-        f"The picture has {noisier:.3g} times the noise of the sensor alone. About {times:.15g} times as many samples reach the "
-        f"target: --max-seconds {seconds:.15g} has time for them on two cores, and ends there. A part of the die (--window) has "
-        f"more samples a pixel. Or accept this with --render-noise {math.ceil(100 * fraction) / 100:g}"
-    )
 
 
 NO_TIME_LIMIT_S = 1e9  # not None, which would limit the samples instead
@@ -298,7 +286,7 @@ def without_clock(asked: Settings, image: SpectralImage) -> Settings:
 def _pair(job: Renderer, runs: int, level: int, share: _Share, times_s: list[float]) -> Iterator[tuple[list[Any], int]]:
     """Iterate over the next two renders; the time after each is added to `times_s`."""
     for number in range(PAIR):
-        result = job.run(runs + number, share.of_half(number, job.plan.spp * LEVEL_FACTOR**level), level)
+        result = job.run(runs + number, share.of_half(number, job.plan.samples.spp * LEVEL_FACTOR**level), level)
         times_s.append(time.perf_counter())
         yield result
 

@@ -4,30 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, astuple, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array
 from pixsim.base.bounds import Count, Positive
-from pixsim.base.caller import parameter, setting
 from pixsim.base.digits import amount, percent, rounded
 from pixsim.base.door import checked_methods
-from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.errors import invalid
 from pixsim.base.notes import Note
 from pixsim.light.quantities import FilmSamples
 from pixsim.light.spectral import (
-    HIGH_NM,
     LAMP,
-    LEAST_LM_PER_W,
-    LOW_NM,
-    VISIBLE,
     WHITE_LAMPS,
     WHITE_OF_PLATE,
-    WIDEST,
-    Span,
     Spectrum,
     colour_matching,
     photons_per_joule,
@@ -42,45 +34,24 @@ from pixsim.optics.lens_defocus import Defocus, depth_of_field_m, finite_or_none
 from pixsim.optics.quantities import AnyDistance
 from pixsim.scene import bands as spectral_bands, film, rules, white_plate
 from pixsim.scene.bands import Bands, Fit, Witness
-from pixsim.scene.contents import (
-    Lamp,
-    Surfaces,
-    checked_lamps,
-    find_bodies,
-    find_lamps,
-    find_surfaces,
-    light_range_nm,
-    planck,
-    warnings_of_skies,
-    white_of,
-)
+from pixsim.scene.contents import Lamp, Surfaces
 from pixsim.scene.film import GREEN_NM
+from pixsim.scene.inspection import Inspection, inspect_scene
 from pixsim.scene.real_lens import decide_defocus, decide_real_lens, real_lens_warnings
 from pixsim.scene.rules import TOLERANCE_E, Chart, Decision
-from pixsim.scene.scene import Scene, film_size, sample_count, sensor_node
-from pixsim.scene.tree import Node, Tree, nodes_of
+from pixsim.scene.scene import Scene, film_size, sample_count
 from pixsim.scene.white_plate import distance_of_plate_m, place_of_plate
 from pixsim.sensor.collection import check_efficiency, half_sizes_um, scale_error, stack_shares
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import pixels_on
-from pixsim.sensor.noise import SOURCES
-from pixsim.sensor.outside import (
-    CENTRES_NM,
-    SHOWN_SHARE,
-    inside,
-    outside_header,
-    outside_hint,
-    outside_share,
-    outside_words,
-    span_of,
-)
+from pixsim.sensor.outside import SHOWN_SHARE, outside_header, outside_hint, outside_share, outside_words
 from pixsim.sensor.photodiode import LINEAR_WITHIN, linear_limit_e
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.quantities import Pitch
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.technology import load_technology
-from pixsim.viewer.display_options import Display, Luminance
+from pixsim.viewer.display_options import Display
 
 STACK, FILM = "pixel stack", "oversampling"  # subjects of decisions
 # Shares of the tolerance: bands alone, and bands with pulses. The rest is for blur and diffraction (rules.py).
@@ -123,69 +94,88 @@ class WhitePlate(NamedTuple):
 
 @checked_methods
 @dataclass(frozen=True)
-class Plan:
-    """What will be rendered, and why.
+class LightPlan:
+    """Which light is rendered: of which lamps, in which bands, and what is white in it.
 
-    lights : one for each lamp spectrum
+    lamps : one for each lamp spectrum
     bands : of the result
-    white_cd_per_m2 : luminance of texel value 1 of an emissive chart, or None
+    full_passes : passes over all lamps with nothing left out
+    regular_tables : whether tables with equal steps are converted to regular spectra
+    held : (node, property, spectrum) of tables of surfaces that go on beyond their ends, as `beyond_tables = "hold"` has it
+    outside : entry of an irradiance's header on the lamps' light outside 360-830 nm; empty if there is none
     white : spectra that add up to the light of the scene's white; none if it is unknown
     white_lamps : ids of the emitters that are it, if the scene names them
-    lens : "thinlens", or "perspective" if the aperture need not be sampled
-    integrator : plugin and its parameters, or None for that of the scene
-    spp : samples per film cell in each pass
-    exact : whether film cells are computed from the texels of the chart, without samples
-    diffraction : whether diffraction is computed
-    regular_tables : whether tables with equal steps are converted to regular spectra
-    decisions : each with its reason; `bound_e` is the sum of their error bounds
-    full_passes, full_spp : passes and samples with nothing left out
-    chart : an emissive chart that is alone and fills the film, or None
-    tolerance_e : relative error of the mean electrons that the plan may cause
-    warnings : possible problems of the scene
-    resolution : samples across the film that this plan is for, if they differ from those of the scene
-    sampler : plugin of Mitsuba
-    given_spp : whether an option sets `spp`
-    full : whether nothing may be left out
-    tiling : of the blur of a real lens; None for a thin lens, and where a thin lens takes its place
-    ends : whether the scene ends with the film, above and below, and at the left and the right: there a margin mirrors the film
-    outside : entry of an irradiance's header on the lamps' light outside 360-830 nm; empty if there is none
-    defocus : what the thin lens's defocus is off at depths of the scene behind a real lens, largest errors first
-    white_w_per_m2_sr : radiance of texel value 1 of an emissive chart whose light has no luminance, or None
+    chart_white : entry of an irradiance's header on texel value 1 of an emissive chart; empty for other scenes
     plate : how a white plate is rendered beside the scene, if the scene asks for it and is no emissive chart
-    of_chart : whether the scene asks for a white plate and is an emissive chart, whose texel value 1 takes its place
-    in_focus_m : the nearest and the farthest depth at which a point's disc is a pixel wide at most; None without a pixel
-    held : (node, property, spectrum) of tables of surfaces that go on beyond their ends, as `beyond_tables = "hold"` has it
     """
 
-    lights: tuple[FittedLamp, ...]
+    lamps: tuple[FittedLamp, ...]
     bands: Bands
-    white_cd_per_m2: Luminance | None
-    lens: Literal["thinlens", "perspective"]
-    integrator: dict[str, Any] | None
-    spp: int
-    diffraction: bool
-    regular_tables: bool
-    decisions: tuple[Decision, ...]
     full_passes: int
-    full_spp: int
-    chart: Chart | None = field(default=None, repr=False)
-    tolerance_e: Positive = TOLERANCE_E
-    warnings: tuple[Note, ...] = ()
-    resolution: FilmSamples | None = None
-    sampler: str = "multijitter"
-    given_spp: bool = False
-    exact: bool = False
-    full: bool = False
-    tiling: Tiling | None = None
+    regular_tables: bool
+    held: tuple[tuple[int, str, Spectrum], ...] = field(default=(), repr=False)
+    outside: dict[str, Any] = field(default_factory=dict, repr=False)
     white: tuple[Spectrum, ...] = ()
     white_lamps: tuple[str, ...] = ()
-    defocus: tuple[Defocus, ...] = ()
-    ends: tuple[bool, bool] = (False, False)
-    outside: dict[str, Any] = field(default_factory=dict, repr=False)
-    held: tuple[tuple[int, str, Spectrum], ...] = field(default=(), repr=False)
-    white_w_per_m2_sr: float | None = None
+    chart_white: dict[str, float] = field(default_factory=dict)
     plate: WhitePlate | None = field(default=None, repr=False)
-    of_chart: bool = False
+
+    @property
+    def passes(self) -> int:
+        """Number of passes over all lamps."""
+        return sum(len(light.fit.passes) for light in self.lamps)
+
+    @property
+    def planes(self) -> int:
+        """Number of pictures that a render holds in memory, one for each pulse of each lamp."""
+        return sum(len(light.fit.pulses) for light in self.lamps)
+
+    @property
+    def factored(self) -> bool:
+        """Whether the image is stored as factors: fewer pictures than bands, or spectra with negative values."""
+        return self.planes < self.bands.width_nm.size or any(bool(light.fit.spectra.min() < 0) for light in self.lamps)
+
+    @property
+    def white_name(self) -> str:
+        """Name of the light of the scene's white."""
+        return WHITE_OF_PLATE if self.plate else white_words(bool(self.white), self.white_lamps)
+
+    def white_header(self, edges_nm: Array) -> dict[str, Any]:
+        """Return the entries of an irradiance's header on the light of the scene's white, in bands between edges (B + 1,).
+
+        And on the lamps' light outside the bands' range.
+
+        Raises PixsimError for fewer than two edges.
+        """
+        if np.ndim(edges_nm) != 1 or len(edges_nm) < 2:
+            raise invalid("edges_nm", f"an array of shape {np.shape(edges_nm)}", "two or more edges")
+        header = {WHITE_LAMPS: list(self.white_lamps)} if self.white_lamps else {}
+        header |= self.outside
+        if not self.white:
+            return header
+        return {LAMP: np.sum([spectrum.cell_means(edges_nm) for spectrum in self.white], axis=0).tolist()} | header
+
+
+@checked_methods
+@dataclass(frozen=True)
+class FilmPlan:
+    """What is computed on the film.
+
+    resolution : samples across that the plan is for, if they differ from those of the scene
+    chart : an emissive chart that is alone and fills the film, or None
+    diffraction : whether diffraction is computed
+    tiling : of the blur of a real lens; None for a thin lens, and where a thin lens takes its place
+    ends : whether the scene ends with the film, above and below, and at the left and the right: there a margin mirrors the film
+    defocus : what the thin lens's defocus is off at depths of the scene behind a real lens, largest errors first
+    in_focus_m : the nearest and the farthest depth at which a point's disc is a pixel wide at most; None without a pixel
+    """
+
+    resolution: FilmSamples | None = None
+    chart: Chart | None = field(default=None, repr=False)
+    diffraction: bool = True
+    tiling: Tiling | None = None
+    ends: tuple[bool, bool] = (False, False)
+    defocus: tuple[Defocus, ...] = ()
     in_focus_m: tuple[AnyDistance, AnyDistance] | None = None
 
     def camera_of(self, camera: Camera) -> Camera:
@@ -203,33 +193,66 @@ class Plan:
         whole = film.BLOCK * math.ceil(self.tiling.cells(pitch_um)[1] // 2 / film.BLOCK)
         return min(whole, min(shape) // 2 // film.BLOCK * film.BLOCK)
 
-    @property
-    def passes(self) -> int:
-        """Number of passes over all lights."""
-        return sum(len(light.fit.passes) for light in self.lights)
+
+@dataclass(frozen=True)
+class SamplePlan:
+    """How the light of each film cell is sampled.
+
+    lens : "thinlens", or "perspective" if the aperture need not be sampled
+    integrator : plugin and its parameters, or None for that of the scene
+    sampler : plugin of Mitsuba
+    spp : samples per film cell in each pass; 0 where `exact`
+    full_spp : samples in the scene
+    given_spp : whether an option sets `spp`
+    exact : whether film cells are computed from the texels of the chart, without samples
+    """
+
+    lens: Literal["thinlens", "perspective"]
+    integrator: dict[str, Any] | None
+    sampler: str
+    spp: int
+    full_spp: int
+    given_spp: bool = False
+    exact: bool = False
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What will be rendered, and why.
+
+    light, film, samples : which light, on which film, and how it is sampled
+    decisions : each with its reason; `bound_e` is the sum of their error bounds
+    tolerance_e : relative error of the mean electrons that the plan may cause
+    warnings : possible problems of the scene
+    full : whether nothing may be left out
+    """
+
+    light: LightPlan
+    film: FilmPlan
+    samples: SamplePlan
+    decisions: tuple[Decision, ...]
+    tolerance_e: Positive = TOLERANCE_E
+    warnings: tuple[Note, ...] = ()
+    full: bool = False
 
     @property
-    def planes(self) -> int:
-        """Number of pictures that a render holds in memory, one for each pulse of each lamp."""
-        return sum(len(light.fit.pulses) for light in self.lights)
-
-    @property
-    def most_samples(self) -> int:
+    def max_samples(self) -> int:
         """Limit of the samples of all renders together, in place of a time limit: it does not depend on the machine."""
-        return film.PATH_SAMPLES if self.chart is None else film.CHART_SAMPLES
+        return film.PATH_SAMPLES if self.film.chart is None else film.CHART_SAMPLES
 
     @property
     def many_bounces(self) -> bool:
         """Whether paths of any length are traced, whose noise is rarely below that of the sensor."""
-        return self.integrator is None and self.chart is None
+        return self.samples.integrator is None and self.film.chart is None
 
     @property
     def cells_in_time(self) -> float:
-        """Number of film cells for which the fewest renders, two with the fewest samples, stay within `most_samples`."""
-        if self.exact:
+        """Number of film cells for which the fewest renders, two with the fewest samples, stay within `max_samples`."""
+        if self.samples.exact:
             return math.inf
-        fewest = self.spp if self.given_spp else rules.FEWEST_OF_A_PATH if self.chart is None else rules.FEWEST_OF_A_CHART
-        return self.most_samples / (fewest * self.passes * FEWEST_RENDERS)
+        fewest = rules.FEWEST_OF_A_PATH if self.film.chart is None else rules.FEWEST_OF_A_CHART
+        fewest = self.samples.spp if self.samples.given_spp else fewest
+        return self.max_samples / (fewest * self.light.passes * FEWEST_RENDERS)
 
     @property
     def bound_e(self) -> float:
@@ -243,7 +266,8 @@ class Plan:
         The film of a scene without detail takes its part where the plan does not choose it.
         """
         others = [decision for decision in self.decisions if decision.subject != STACK]
-        chosen = self.chart is None or not self.chart.uniform or any(decision.subject == FILM for decision in others)
+        chart = self.film.chart
+        chosen = chart is None or not chart.uniform or any(decision.subject == FILM for decision in others)
         if self.full or not chosen or not all(decision.bounded for decision in others):
             return 0.0
         return max(0.0, self.tolerance_e - sum(decision.bound_e for decision in others))
@@ -253,63 +277,27 @@ class Plan:
         """Whether `bound_e` covers all decisions."""
         return all(decision.bounded for decision in self.decisions)
 
-    @property
-    def factored(self) -> bool:
-        """Whether the image is stored as factors: fewer pictures than bands, or spectra with negative values."""
-        fewer = sum(len(light.fit.pulses) for light in self.lights) < self.bands.width_nm.size
-        return fewer or any(bool(light.fit.spectra.min() < 0) for light in self.lights)
-
-    @property
-    def light_of_white(self) -> str:
-        """Name of the light of the scene's white."""
-        return WHITE_OF_PLATE if self.plate else white_words(bool(self.white), self.white_lamps)
-
-    def white_header(self, edges_nm: Array) -> dict[str, Any]:
-        """Return the entries of an irradiance's header on the light of the scene's white, in bands between edges (B + 1,).
-
-        And on the lamps' light outside the bands' range.
-
-        Raises PixsimError for fewer than two edges.
-        """
-        if np.ndim(edges_nm) != 1 or len(edges_nm) < 2:
-            raise invalid("edges_nm", f"an array of shape {np.shape(edges_nm)}", "two or more edges")
-        lamps = {WHITE_LAMPS: list(self.white_lamps)} if self.white_lamps else {}
-        lamps |= self.outside
-        if not self.white:
-            return lamps
-        return {LAMP: np.sum([spectrum.cell_means(edges_nm) for spectrum in self.white], axis=0).tolist()} | lamps
-
     def as_dict(self) -> dict[str, Any]:
         """Return the plan for `pixsim plan --json`."""
+        bands = self.light.bands
         table: dict[str, Any] = {"decisions": [asdict(decision) for decision in self.decisions], "tolerance_e": self.tolerance_e}
-        table |= {"bound_e": self.bound_e, "bounded": self.bounded, "lamp_spectra": len(self.lights)}
-        table |= {"passes": self.passes, "passes_full": self.full_passes, "spp": self.spp, "spp_full": self.full_spp}
-        table |= {"resolution": self.resolution, "diffraction": self.diffraction, "warnings": list(self.warnings)}
-        table |= {"lens": self.lens, "integrator": self.integrator}
-        table["white_spectrum"] = self.light_of_white
-        if self.in_focus_m is not None:
-            table["in_focus_m"] = finite_or_none(self.in_focus_m)
-        if self.defocus:  # infinity is no number of JSON
-            table["defocus"] = [
-                {name: value if math.isfinite(value) else None for name, value in asdict(one).items()} for one in self.defocus
-            ]
-        return table | {"wavelength_nm": self.bands.wavelength_nm.tolist(), "band_width_nm": self.bands.width_nm.tolist()}
+        table |= {"bound_e": self.bound_e, "bounded": self.bounded, "lamp_spectra": len(self.light.lamps)}
+        table |= {"passes": self.light.passes, "passes_full": self.light.full_passes}
+        table |= {"spp": self.samples.spp, "spp_full": self.samples.full_spp}
+        table |= {"resolution": self.film.resolution, "diffraction": self.film.diffraction, "warnings": list(self.warnings)}
+        table |= {"lens": self.samples.lens, "integrator": self.samples.integrator, "white_spectrum": self.light.white_name}
+        if self.film.in_focus_m is not None:
+            table["in_focus_m"] = finite_or_none(self.film.in_focus_m)
+        if self.film.defocus:  # infinity is no number of JSON
+            rows = [asdict(defocus) for defocus in self.film.defocus]
+            table["defocus"] = [{name: value if math.isfinite(value) else None for name, value in row.items()} for row in rows]
+        return table | {"wavelength_nm": bands.wavelength_nm.tolist(), "band_width_nm": bands.width_nm.tolist()}
 
     def __repr__(self) -> str:
         return (
-            f"<Plan {self.passes} of {self.full_passes} passes, {self.spp} of {self.full_spp} samples, {self.lens}, "
-            f"error of mean electrons up to {self.bound_e:.1e}>"
+            f"<Plan {self.light.passes} of {self.light.full_passes} passes, {self.samples.spp} of {self.samples.full_spp} samples, "
+            f"{self.samples.lens}, error of mean electrons up to {self.bound_e:.1e}>"
         )
-
-
-def shutter_note(sensor: Node) -> str:
-    """Return what to say of a sensor that states a shutter time; empty for others. No scene that pixsim reads has motion."""
-    opens, closes = (float(sensor.get(name, 0.0)) for name in ("shutter_open", "shutter_close"))
-    if opens == closes:
-        return ""
-    exposures = f"{setting('exposure.integration_s')} sets the exposure, and {setting('exposure.max_integration_s')} its longest"
-    stated = f"the sensor's shutter_open {opens:g} and shutter_close {closes:g} change nothing"
-    return f"{stated}, since nothing in the scene moves: {exposures}"
 
 
 def make_render_plan(
@@ -336,232 +324,128 @@ def make_render_plan(
     """
     if not 0 < tolerance_e < 1:
         raise invalid("tolerance_e", f"{tolerance_e:g}", "above 0 and below 1, a relative error of mean electrons")
-    pixels = [pixel] if isinstance(pixel, Pixel) else pixel or []
+    options = [pixel] if isinstance(pixel, Pixel) else pixel or []
+    pixels = [derive(option, load_technology(option.technology)) for option in options]
     camera = camera or scene.camera()
     tiling, real_lens = decide_real_lens(scene, camera, pixels[0] if pixels else None, tolerance_e, full, aperture_um)
-    whole, camera = camera, camera if tiling else without_lens(camera)
-    seen = rendered_camera(camera)
-    state = scene.for_camera(seen)
-    sensor = sensor_node(state, scene.sensor_id)[1]
-    height, width = (max(1, side) for side in scene.film_shape(seen, state))  # the renderer checks the size
-    bodies = find_bodies(state, sensor)
-    every_lamp = find_lamps(state, scene.choice.reading)
-    emitted = [lamp.spectrum for lamp in every_lamp if lamp.spectrum is not None]
-    seeing = [derive(one, load_technology(one.technology)) for one in pixels or _packaged_pixels()]
-    span = span_of(emitted, seeing)
-    lamps = checked_lamps(every_lamp, span)
-    white = white_of(state, every_lamp if scene.white_lamps else lamps, scene.white_lamps)
-    surfaces = find_surfaces(state, scene.choice.reading, span, scene.beyond_tables)
-    if not lamps:
-        raise _no_light(every_lamp)
-    if surfaces.ending and not scene.beyond_tables:
-        raise _unknown_beyond(surfaces)
-    integrator, met, bounces = rules.decide_bounces(state, bodies, full)
-    lights, bands, full_passes, spectral = _lights(
-        lamps, surfaces, met, _witnesses(seeing), tolerance_e, full, any(one.colour for one in pixels)
-    )
-    by_index, tables = rules.decide_tables(state, full)
-    lens, focus = rules.decide_lens(state, seen, bodies, width / height, pixels[0] if pixels else None, tolerance_e, full)
-    # An unfocused chart differs from its picture, and the lens needs samples too.
-    chart = rules.lone_chart(state, seen, bodies, (height, width)) if lens == "perspective" else None
-    # What is left out does not change where the scene ends.
-    sharp = lens if not full else rules.decide_lens(state, seen, bodies, width / height, None, tolerance_e, False)[0]
-    ends = rules.ends_with_film(state, seen, bodies, (height, width)) if tiling and sharp == "perspective" else (False, False)
-    scene_spp = sample_count(state, sensor)
-    passes = sum(len(light.fit.passes) for light in lights)
-    explicit = "spp" in scene.parameters
-    finer = (width / max(1, film_size(state, sensor)[1])) ** 2
-    spp, sampler, samples = rules.decide_samples(chart, scene_spp, passes, tolerance_e, full, explicit, finer)
-    diffraction = rules.decide_diffraction(
-        chart, camera, 1e3 * camera.die_mm / width, tolerance_e, full or tiling is not None, span.high_nm
-    )
-    bound_e = sum(decision.bound_e for decision in (*spectral, focus, diffraction))
-    defocus: list[Defocus] = []
-    if tiling is not None and focus.kept:
-        defocus, of_depth = decide_defocus(state, bodies, camera, seen, width / height, pixels[0] if pixels else None)
-        real_lens += of_depth
-    warnings = real_lens_warnings(whole, tiling, defocus, tolerance_e)
-    if surfaces.short:
-        ranges = ", ".join(surfaces.short)
-        words = f"reflectance tables cover only {ranges}, and Mitsuba takes 0 outside; extend them to 360-830 nm"
-        warnings.append(Note("scene", words=words))
-    if text := shutter_note(sensor):
-        warnings.append(Note("scene", words=text))
-    if surfaces.ending:
-        words = f"outside {VISIBLE.words} these are what Mitsuba makes of them: {_named(surfaces.ending)}"
-        warnings.append(Note("scene", words=words))
-    if surfaces.mirrors:
-        beyond = "Mitsuba takes 0 for the index of a metal beyond its tables, a perfect mirror where both end"
-        warnings.append(Note("scene", words=f"{beyond}; extend {_named(surfaces.mirrors)}"))
-    outside = outside_header(emitted, span)
-    scene_texts = [*warnings_of_skies(state, scene.choice.reading), *_light_that_ends(state, every_lamp, span, seeing)]
-    warnings += [Note("scene", words=text) for text in scene_texts]
-    left_out = max((outside_share(outside, physics) for physics in seeing), default=0.0) if pixels else 0.0
-    if left_out > SHOWN_SHARE:
-        warnings.append(Note("light_left_out", words=outside_words(left_out, span), hint=outside_hint()))
-    if bound_e > tolerance_e:
-        limits = f"bands reach their limit of {spectral_bands.NARROWEST_BAND_NM:g} nm or {spectral_bands.MAX_BANDS} bands"
-        warnings.append(Note("electrons_error", error=bound_e, tolerance=tolerance_e, limits=limits))
-    emitters = nodes_of(state, "Emitter")
-    alone = len(emitters) == 1 and len(bodies) == 1 and emitters[0][1].plugin == "area" and bool(lamps)
-    luminance, radiance = _white_of_chart(lamps[0], span) if alone else (None, None)
-    of_chart = scene.diffuser and bool(luminance or radiance)
-    plate = None
-    if scene.diffuser and not of_chart:
-        plate = _plate_of(scene, seen, state, sensor, pixels, tolerance_e)
-    plan = Plan(
-        lights=tuple(lights),
-        bands=bands,
-        white_cd_per_m2=luminance,
-        white_w_per_m2_sr=radiance,
-        lens=lens,
-        integrator=integrator,
-        spp=spp,
-        sampler=sampler,
-        given_spp=explicit,
-        diffraction=diffraction.kept,
-        regular_tables=by_index,
-        decisions=(*spectral, tables, bounces, focus, samples, diffraction, *real_lens),
-        full_passes=full_passes,
-        full_spp=scene_spp,
-        chart=chart,
-        tolerance_e=tolerance_e,
-        warnings=tuple(warnings),
-        full=full,
-        tiling=tiling,
-        white=white,
-        white_lamps=scene.white_lamps,
-        defocus=tuple(defocus),
-        ends=ends,
-        outside=outside,
-        plate=plate,
-        of_chart=of_chart,
-        in_focus_m=depth_of_field_m(whole, seeing[0].read_pitch_um) if pixels else None,
-        held=tuple((index, name, table) for (index, name), table in surfaces.held.items()),
-    )
+    seen = rendered_camera(camera if tiling else without_lens(camera))
+    inspection = inspect_scene(scene, seen, pixels or _packaged_pixels())
+    plan = _plan_of(inspection, camera, pixels, tolerance_e, full, tiling, real_lens)
+    if scene.diffuser and not inspection.chart_white:
+        plan = replace(plan, light=replace(plan.light, plate=_plate_of(inspection, pixels, tolerance_e)))
     return _without_samples(plan) if exact and not full else plan
 
 
-def _plate_of(scene: Scene, camera: Camera, state: Tree, sensor: Node, pixels: Sequence[Pixel], tolerance_e: float) -> WhitePlate:
-    """Return how a white plate in a scene is rendered.
-
-    camera : thin lens that sees the scene
-    state, sensor : of the scene for this camera
-    """
-    focus_m = camera.object_distance_m
-    distance_m = distance_of_plate_m(state, sensor, focus_m)
-    place = place_of_plate(sensor, distance_m, focus_m)
-    plated = replace(scene, diffuser=False, plate=place, resolution=white_plate.RESOLUTION, _texts={})
-    plan = make_render_plan(plated, camera, pixels, tolerance_e=tolerance_e)
-    plan = replace(plan, lens="perspective", chart=None, spp=white_plate.FIRST_SPP, sampler="multijitter")
-    return WhitePlate(plated, plan, camera, distance_m)
-
-
-ENDS_LIT = 1e-3  # of its largest value: a lamp's table that ends with less ends dark
-LINE_NM = 100.0  # a lamp's table that is shorter is a line, which ends where it says
-SKY_NM = 320.0, 720.0  # data of Mitsuba 3.9's sunsky, which is 0 outside
-SUN_K = 5772.0  # effective temperature (IAU 2015 resolution B3)
-
-
-def _light_that_ends(state: Tree, lamps: Sequence[Lamp], span: Span, seeing: Sequence[PixelPhysics]) -> list[str]:
-    """Return what to say of lamps whose data end where a sensor sees light, with the share of its electrons that may lack."""
-    channels = [channel for physics in seeing for channel in physics.channels]
-
-    def share(light: Array, beyond: NDArray[np.bool_]) -> float:
-        """Largest share of the electrons in any channel, of a spectrum (cells,), that comes from the cells beyond."""
-        shares = [0.0]
-        for channel in channels:
-            electrons = light * channel.quantum_efficiency(CENTRES_NM) * photons_per_joule(CENTRES_NM)
-            if electrons.sum() > 0:
-                shares.append(float(electrons[beyond].sum() / electrons.sum()))
-        return max(shares)
-
-    warnings = []
-    for lamp in (lamp.spectrum for lamp in lamps if lamp.spectrum is not None):
-        nodes, values = lamp.nodes_nm, lamp.values
-        if nodes[-1] - nodes[0] < LINE_NM:
-            continue
-
-        lit = ENDS_LIT * values.max()
-        held = np.where(inside(span), np.interp(CENTRES_NM, nodes, values), 0.0)
-        for word, end_nm, value, beyond in (
-            ("begins", nodes[0], values[0], nodes[0] > CENTRES_NM),
-            ("ends", nodes[-1], values[-1], nodes[-1] < CENTRES_NM),
-        ):
-            if value > lit and (part := share(held, beyond)) > SHOWN_SHARE:
-                warnings.append(
-                    f"the light of a lamp {word} at {end_nm:g} nm, where it is not 0: it is taken as 0 beyond; "
-                    f"if it stayed so, {percent(part)} of the electrons would come from there"
-                )
-
-    pictures = [state.nodes[index] for lamp in lamps if lamp.spectrum is None for index in lamp.pictures]
-    if pictures and span != VISIBLE:
-        names = ", ".join(dict.fromkeys(f"'{node.plugin}'" for node in pictures))
-        warnings.append(f"the light of a picture or an RGB colour is 0 outside {VISIBLE.words}, which counts here: {names}")
-
-    if any(node.plugin == "sunsky" for node in pictures):
-        # Air lets little of the sun through below 320 nm.
-        part = share(planck(CENTRES_NM, SUN_K), SKY_NM[1] < CENTRES_NM)
-        if part > SHOWN_SHARE:
-            warnings.append(
-                f"a sunsky has data from {SKY_NM[0]:g} to {SKY_NM[1]:g} nm, and is 0 beyond: of sunlight (a black body of "
-                f"{SUN_K:g} K), {percent(part, 1)} of the electrons come from there; a filter keeps it out "
-                f"({setting('pixel.infrared_cut_nm', SKY_NM[1])})"
-            )
-    return list(dict.fromkeys(warnings))
-
-
-def _packaged_pixels() -> list[Pixel]:
+def _packaged_pixels() -> list[PixelPhysics]:
     """Return pixels of the packaged response curves, which stand for those that nobody states."""
-    return [Pixel(technology=name, pitch_um=10.0) for name in RESPONSES]
+    return [derive(Pixel(technology=name, pitch_um=10.0), load_technology(name)) for name in RESPONSES]
 
 
-def _unknown_beyond(surfaces: Surfaces) -> PixsimError:
-    """Return the error for surfaces of which nobody says what they are in all of the range that is computed."""
-    got = f"{_named(surfaces.ending)}, under a lamp with light that the sensor sees in {surfaces.span.words}"
-    allowed = f"tables of reflectance that cover {surfaces.span.words}"
-    hint = (
-        f"Extend them; or state {parameter('beyond_tables', 'hold')} or 'zero'; or keep that light out "
-        f"({setting('pixel.infrared_cut_nm', HIGH_NM)})."
+def _plate_of(inspection: Inspection, pixels: Sequence[PixelPhysics], tolerance_e: float) -> WhitePlate:
+    """Return how a white plate in a scene is rendered."""
+    camera, sensor = inspection.camera, inspection.sensor
+    focus_m = camera.object_distance_m
+    distance_m = distance_of_plate_m(inspection.state, sensor, focus_m)
+    place = place_of_plate(sensor, distance_m, focus_m)
+    scene = replace(inspection.scene, diffuser=False, plate=place, resolution=white_plate.RESOLUTION, _texts={})
+    plan = _plan_of(inspect_scene(scene, camera, inspection.pixels), camera, pixels, tolerance_e)
+    samples = replace(plan.samples, lens="perspective", spp=white_plate.FIRST_SPP, sampler="multijitter")
+    return WhitePlate(scene, replace(plan, samples=samples, film=replace(plan.film, chart=None)), camera, distance_m)
+
+
+def _plan_of(
+    inspection: Inspection,
+    camera: Camera,
+    pixels: Sequence[PixelPhysics],
+    tolerance_e: float,
+    full: bool = False,
+    tiling: Tiling | None = None,
+    real_lens: Sequence[Decision] = (),
+) -> Plan:
+    """Return the plan of an inspected scene, without a white plate.
+
+    camera : with its real lens
+    pixels : whose electrons have the tolerance; none where nobody states one
+    tiling, real_lens : from `decide_real_lens`
+    """
+    scene, state, bodies, seen = inspection.scene, inspection.state, inspection.bodies, inspection.camera
+    physics = pixels[0] if pixels else None
+    rendered = camera if tiling else without_lens(camera)
+
+    # Light
+    integrator, surfaces_met, bounces = rules.decide_bounces(state, bodies, full)
+    lamps, bands, full_passes, spectral = _lights(inspection, surfaces_met, tolerance_e, full)
+    by_index, tables = rules.decide_tables(state, full)
+    passes = sum(len(light.fit.passes) for light in lamps)
+
+    # Samples. An unfocused chart differs from its picture, and the lens needs samples too.
+    lens, focus = rules.decide_lens(state, seen, bodies, inspection.aspect, physics, tolerance_e, full)
+    chart = rules.lone_chart(state, seen, bodies, inspection.shape) if lens == "perspective" else None
+    scene_spp = sample_count(state, inspection.sensor)
+    given_spp = "spp" in scene.parameters
+    finer = (inspection.shape[1] / max(1, film_size(state, inspection.sensor)[1])) ** 2
+    spp, sampler, samples = rules.decide_samples(chart, scene_spp, passes, tolerance_e, full, given_spp, finer)
+
+    # Film. What is left out does not change where the scene ends.
+    sharp = rules.decide_lens(state, seen, bodies, inspection.aspect, None, tolerance_e, False)[0] if full else lens
+    ends = rules.ends_with_film(state, seen, bodies, inspection.shape) if tiling and sharp == "perspective" else (False, False)
+    film_um = 1e3 * rendered.die_mm / inspection.shape[1]
+    diffraction = rules.decide_diffraction(
+        chart, rendered, film_um, tolerance_e, full or tiling is not None, inspection.span.high_nm
     )
-    return invalid("scene", got, allowed, hint)
+    defocus: list[Defocus] = []
+    out_of_focus: list[Decision] = []
+    if tiling is not None and focus.kept:
+        defocus, out_of_focus = decide_defocus(state, bodies, rendered, seen, inspection.aspect, physics)
 
-
-NAMED = 4  # surfaces, in a message
-
-
-def _named(surfaces: Sequence[str]) -> str:
-    """Return the first of some surfaces, as text."""
-    return "; ".join(surfaces[:NAMED]) + f"; and {len(surfaces) - NAMED} more" * (len(surfaces) > NAMED)
-
-
-def _white_of_chart(lamp: Lamp, span: Span) -> tuple[float | None, float | None]:
-    """Return the luminance of texel value 1 of a chart's lamp, or the radiance of light without one; the other is None."""
-    if lamp.spectrum is None:
-        return None, None
-    luminance, radiance = lamp.luminance_cd_per_m2, lamp.spectrum.integral(*astuple(span))
-    return (luminance, None) if luminance > LEAST_LM_PER_W * radiance else (None, radiance)
-
-
-def _no_light(lamps: Sequence[Lamp]) -> PixsimError:
-    """Return the error for a scene without light in the range that is computed."""
-    if ends := light_range_nm(lamps):
-        got = f"light from {ends[0]:g} to {ends[1]:g} nm only"
-        allowed = f"light within {LOW_NM:g}-{HIGH_NM:g} nm, or within {WIDEST.words} where the sensor sees it"
-        hint = "Choose a lamp with light in that range, or a sensor without an infrared cut (pixel.infrared_cut_nm)."
-        return invalid("scene", got, allowed, hint)
-    return invalid("scene", "no emitter with light", "a lamp, a chart or a sky with light", "Check that its scale is above 0.")
+    outside = outside_header(inspection.lamp_spectra, inspection.span)
+    warnings = [*real_lens_warnings(camera, tiling, defocus, tolerance_e), *inspection.warnings]
+    left_out = max((outside_share(outside, pixel) for pixel in pixels), default=0.0)
+    if left_out > SHOWN_SHARE:
+        warnings.append(Note("light_left_out", words=outside_words(left_out, inspection.span), hint=outside_hint()))
+    bound_e = sum(decision.bound_e for decision in (*spectral, focus, diffraction))
+    if bound_e > tolerance_e:
+        limits = f"bands reach their limit of {spectral_bands.NARROWEST_BAND_NM:g} nm or {spectral_bands.MAX_BANDS} bands"
+        warnings.append(Note("electrons_error", error=bound_e, tolerance=tolerance_e, limits=limits))
+    return Plan(
+        light=LightPlan(
+            lamps=tuple(lamps),
+            bands=bands,
+            full_passes=full_passes,
+            regular_tables=by_index,
+            held=tuple((index, name, table) for (index, name), table in inspection.surfaces.held.items()),
+            outside=outside,
+            white=inspection.white,
+            white_lamps=scene.white_lamps,
+            chart_white=inspection.chart_white,
+        ),
+        film=FilmPlan(
+            chart=chart,
+            diffraction=diffraction.kept,
+            tiling=tiling,
+            ends=ends,
+            defocus=tuple(defocus),
+            in_focus_m=depth_of_field_m(camera, physics.read_pitch_um) if physics else None,
+        ),
+        samples=SamplePlan(lens, integrator, sampler, spp, scene_spp, given_spp),
+        decisions=(*spectral, tables, bounces, focus, samples, diffraction, *real_lens, *out_of_focus),
+        tolerance_e=tolerance_e,
+        warnings=tuple(warnings),
+        full=full,
+    )
 
 
 def _without_samples(plan: Plan) -> Plan:
     """Return the plan with film cells that are computed, if it is of a chart in focus that is seen straight; else the plan."""
-    straight = plan.integrator is not None and plan.integrator.get("max_depth") == 1
-    if plan.chart is None or plan.chart.beyond is None or not straight or plan.given_spp:
+    chart, integrator = plan.film.chart, plan.samples.integrator
+    straight = integrator is not None and integrator.get("max_depth") == 1
+    if chart is None or chart.beyond is None or not straight or plan.samples.given_spp:
         return plan
-    between = "even over each of its texels" if plan.chart.nearest else "linear between its texels"
+    between = "even over each of its texels" if chart.nearest else "linear between its texels"
     reason = f"none: each film cell is the exact mean of the chart, which is {between}"
-    exact = Decision("texture samples", False, reason, f"all {plan.full_spp} samples, and their noise")
-    return replace(plan, spp=0, exact=True, decisions=tuple(exact if d.subject == exact.subject else d for d in plan.decisions))
+    exact = Decision("texture samples", False, reason, f"all {plan.samples.full_spp} samples, and their noise")
+    decisions = tuple(exact if decision.subject == exact.subject else decision for decision in plan.decisions)
+    return replace(plan, samples=replace(plan.samples, spp=0, exact=True), decisions=decisions)
 
 
 def _witnesses(derived: Sequence[PixelPhysics]) -> list[Witness]:
@@ -585,9 +469,12 @@ def _witnesses(derived: Sequence[PixelPhysics]) -> list[Witness]:
 
 
 def _lights(
-    lamps: list[Lamp], surfaces: Surfaces, bounces: int, witnesses: list[Witness], tolerance_e: float, full: bool, in_colour: bool
+    inspection: Inspection, bounces: int, tolerance_e: float, full: bool
 ) -> tuple[list[FittedLamp], Bands, int, list[Decision]]:
     """Return the pulses of each lamp, the bands, the number of passes without leaving out any band, and the reasons."""
+    lamps, surfaces = inspection.lamps, inspection.surfaces
+    witnesses = _witnesses(inspection.pixels)
+    in_colour = any(physics.pixel.colour for physics in inspection.pixels)
     spectra = [lamp.spectrum for lamp in lamps if lamp.spectrum]
     met = surfaces.products(bounces) if bounces else surfaces.products(1)[:0]
     bands = spectral_bands.place_bands(spectra, met, witnesses, tolerance_e * BANDS_SHARE, surfaces.span)
@@ -663,7 +550,7 @@ def make_plan(
 
     >>> from pixsim import load_scene
     >>> plan = make_plan(load_scene("csf", resolution=64))
-    >>> plan.passes, plan.bound_e < plan.tolerance_e  # a chart under one lamp: one picture determines all bands
+    >>> plan.light.passes, plan.bound_e < plan.tolerance_e  # a chart under one lamp: one picture determines all bands
     (1, True)
     """
     camera, pixel = camera or scene.camera(), pixel or Pixel()
@@ -676,14 +563,11 @@ def make_plan(
     if resolution or camera.lens is not None:
         plan = make_render_plan(scene.with_resolution(resolution) if resolution else scene, camera, pixel, **options)
     longest_s = exposure.times * (exposure.integration_s or exposure.max_integration_s) / exposure.frames  # of each exposure
-    after = (
-        decide_saturation(readout, longest_s),
-        decide_noise(readout, full),
-        decide_transforms(full or physics.layout is not None),
-    )
-    plan = replace(plan, resolution=resolution, decisions=(*plan.decisions, sampling, *after))
+    saturation = decide_saturation(readout, longest_s)
+    others = *plan.decisions, sampling
+    plan = replace(plan, film=replace(plan.film, resolution=resolution), decisions=(*others, saturation))
     stack = decide_stack(physics, camera, plan.spare_e, full)
-    return replace(plan, decisions=(*plan.decisions[: -len(after)], stack, *after))
+    return replace(plan, decisions=(*others, stack, saturation))
 
 
 def decide_oversampling(
@@ -695,7 +579,8 @@ def decide_oversampling(
     matters on the display, within its limits, if the display is given; the XML's film is the least.
     """
     height, width = (max(1, side) for side in scene.film_shape(camera, scene.for_camera(rendered_camera(camera))))
-    uniform, free = plan.chart is not None and plan.chart.uniform, scene.resolution is None
+    chart = plan.film.chart
+    uniform, free = chart is not None and chart.uniform, scene.resolution is None
     given = not free or "resolution" in scene.parameters
     # Error of taking the fall-off at the middle of a sample for its mean: it grows as the width squared, so halve the samples.
     n = UNIFORM_RESOLUTION
@@ -707,18 +592,18 @@ def decide_oversampling(
     if display is None or full or uniform:
         return None, Decision(FILM, True, _sampling(camera, physics, width))
     details, name = film.details_across(
-        camera, physics.aperture_side_um, display, physics.pitch_um, plan.chart.details if plan.chart else None
+        camera, physics.aperture_side_um, display, physics.pitch_um, chart.details if chart else None
     )
     words = f"{details:.4g} {name} across the die"
     if not free:
         return None, Decision(FILM, True, f"{_sampling(camera, physics, width)}; {words}; as set by --resolution")
-    most = film.largest_film(height / width, plan.planes, plan.cells_in_time)
+    most = film.largest_film(height / width, plan.light.planes, plan.cells_in_time)
     needed = film.SAMPLES_PER_DETAIL * details
     if width >= min(needed, most):
         return None, Decision(FILM, True, f"{_sampling(camera, physics, width)}; {words}")
     chosen = film.fitting_width(camera.height_mm / camera.die_mm, needed, most)
-    pictures = f"{plan.planes} picture{'s' * (plan.planes > 1)}"
-    limits = f", the limit for {pictures} ({film.MAX_ACROSS} across, 2 GiB, {amount(plan.most_samples, 2)} rays)"
+    pictures = f"{plan.light.planes} picture{'s' * (plan.light.planes > 1)}"
+    limits = f", the limit for {pictures} ({film.MAX_ACROSS} across, 2 GiB, {amount(plan.max_samples, 2)} rays)"
     limit = limits if needed > most else ""
     sampling = _sampling(camera, physics, chosen)
     return chosen, Decision(FILM, True, f"{sampling}, not {width} as in the scene: {words}{limit}")
@@ -784,29 +669,3 @@ def decide_saturation(readout: Readout, integration_s: float) -> Decision:
         return Decision("saturation", True, f"the diode turns forward above {limit}{conversion}")
     reason = f"linear if the brightest pixel stays below {limit}; else a table of the diode"
     return Decision("saturation", False, reason, "the table", LINEAR_WITHIN * full_well_e / limit_e)
-
-
-def decide_noise(readout: Readout, full: bool) -> Decision:
-    """List the noise sources that are zero."""
-    dark = readout.dark_current_e_per_s
-    sizes = {each: each.deviation(readout) * (dark if each.grows_with == "dark" else 1.0) for each in SOURCES}
-    listed = {each.name: size for each, size in sizes.items() if size or not each.is_rare}
-    sources = {each.name: sizes[each] for each in SOURCES if each.grows_with == "light"} | {"dark current": dark}
-    sources |= {each.name: sizes[each] for each in SOURCES if each.grows_with == "dark"} | listed
-    hot = readout.physics.hot_pixel_fraction
-    sources |= {"hot pixels": hot} if hot else {}  # few sensors have numbers for them
-    silent = [name for name, value in sources.items() if not value]
-    if not silent or full:
-        return Decision("noise stages", True, "shot noise, " + ", ".join(name for name, value in sources.items() if value))
-    return Decision("noise stages", False, f"zero: {', '.join(silent)}", f"{len(silent)} of {len(sources) + 1} stages")
-
-
-def decide_transforms(full: bool) -> Decision:
-    """Count the transforms of the viewer: the opponent channels of a grey image are multiples of one picture.
-
-    full : leave nothing out; and for coloured images
-    """
-    if full:
-        return Decision("repeated transforms", True, "three forward and three inverse transforms per image")
-    reason = "a grey image: one forward transform for three opponent channels; the reference image only once"
-    return Decision("repeated transforms", False, reason, "2 of 6 transforms per image")

@@ -18,9 +18,7 @@ from pixsim.scene.film import FILM_ROUNDING, SAMPLES_PER_DETAIL
 from pixsim.scene.rules import ALIKE, Decision
 from pixsim.scene.scene import Scene
 from pixsim.scene.tree import Tree, nodes_of
-from pixsim.sensor.pixel import derive
-from pixsim.sensor.pixel_options import Pixel
-from pixsim.sensor.technology import load_technology
+from pixsim.sensor.pixel import PixelPhysics
 
 SEEN_NM = np.arange(400.0, 701.0, 10.0)  # light for which tiles are chosen: even in energy, as the sensor sees it
 THIN_LENS_SHARE = 0.5  # of the tolerance, for a thin lens in place of the real one
@@ -32,7 +30,7 @@ BLUR_TOLERANCES = 10.0  # of mean electrons, for the rms error of the blur over 
 
 
 def decide_real_lens(
-    scene: Scene, camera: Camera, pixel: Pixel | None, tolerance_e: float, full: bool, aperture_um: float | None = None
+    scene: Scene, camera: Camera, pixel: PixelPhysics | None, tolerance_e: float, full: bool, aperture_um: float | None = None
 ) -> tuple[Tiling | None, list[Decision]]:
     """Return how the blur of a real lens is computed, and the decision; None and no decision for a thin lens.
 
@@ -43,10 +41,9 @@ def decide_real_lens(
     """
     if camera.lens is None or camera.chief_ray_angle is None:
         return None, []
-    physics = derive(pixel, load_technology(pixel.technology)) if pixel else None
-    weight = photons_per_joule(SEEN_NM) * (physics.quantum_efficiency(SEEN_NM) if physics else 1.0)
+    weight = photons_per_joule(SEEN_NM) * (pixel.quantum_efficiency(SEEN_NM) if pixel else 1.0)
     film_um = 1e3 * camera.die_mm / scene.film_shape(camera, scene.parse())[1]
-    aperture_um = aperture_um or (physics.aperture_side_um if physics else SAMPLES_PER_DETAIL * film_um)
+    aperture_um = aperture_um or (pixel.aperture_side_um if pixel else SAMPLES_PER_DETAIL * film_um)
     pitch_um = film_um if film_um > aperture_um else aperture_um / SAMPLES_PER_DETAIL
     height, width = (math.ceil(side_um / pitch_um - FILM_ROUNDING) for side_um in camera.die_um)
     distortion = distortion_of(camera)
@@ -73,7 +70,7 @@ def decide_real_lens(
 
 
 def decide_defocus(
-    state: Tree, bodies: Sequence[Body], camera: Camera, seen: Camera, aspect: float, pixel: Pixel | None
+    state: Tree, bodies: Sequence[Body], camera: Camera, seen: Camera, aspect: float, pixel: PixelPhysics | None
 ) -> tuple[list[Defocus], list[Decision]]:
     """Return what the thin lens's defocus is off at depths of the scene, largest errors first, and the decision.
 
@@ -81,14 +78,13 @@ def decide_defocus(
 
     camera, seen : with the real lens, and the thin lens through which the scene is rendered
     """
-    physics = derive(pixel, load_technology(pixel.technology)) if pixel else None
-    weight = photons_per_joule(SEEN_NM) * (physics.quantum_efficiency(SEEN_NM) if physics else 1.0)
+    weight = photons_per_joule(SEEN_NM) * (pixel.quantum_efficiency(SEEN_NM) if pixel else 1.0)
     least_um = smallest_disc_um(camera, float((weight * SEEN_NM).sum() / weight.sum()))
     ranges, unknown = depth_ranges_m([body for body in bodies if body.in_view(seen, aspect)], camera, state)
     discs = tried_discs_um([(signed_disc_um(camera, near), signed_disc_um(camera, far)) for near, far in ranges], least_um, camera)
     if not discs:
         return [], []
-    aperture_um = physics.aperture_side_um if physics else max(least_um, 1.0)
+    aperture_um = pixel.aperture_side_um if pixel else max(least_um, 1.0)
     given = tuple(SEEN_NM.tolist()), tuple(weight.tolist()), aperture_um
     found = sorted((defocus_at(camera, disc, *given) for disc in discs), key=lambda one: -one.error)
     words = f"out of focus, a thin lens's discs with the blur that the lens has in focus: rms error up to {_amount(found[0])}"

@@ -23,7 +23,8 @@ from pixsim.base.notes import Note, warn
 from pixsim.base.progress import Progress
 from pixsim.base.records import content_hash
 from pixsim.base.version import VERSION
-from pixsim.light.spectral import DIFFUSER, DIFFUSER_W, RINGS, VISIBLE, WHITE_RADIANCE, WHOLE, Span, SpectralImage, Spectrum
+from pixsim.light.quantities import LUMINANCE
+from pixsim.light.spectral import DIFFUSER, DIFFUSER_W, RINGS, VISIBLE, WHOLE, Span, SpectralImage, Spectrum
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import LENS_HEADER, distortion_of, rendered_camera
 from pixsim.optics.camera_light import camera_factor
@@ -35,7 +36,7 @@ from pixsim.scene.contents import named_files, warnings_of_skies
 from pixsim.scene.guard.tracer import Tracer, tracer_of
 from pixsim.scene.job import Lamps, Passes, TraceJob, irregular, regular
 from pixsim.scene.plan import Plan, WhitePlate, make_render_plan
-from pixsim.scene.rules import BACKGROUNDS, SAMPLE_COUNTS, cause_of_black, irregular_tables
+from pixsim.scene.rules import BACKGROUNDS, SAMPLE_COUNTS, irregular_tables
 from pixsim.scene.scene import Scene, check_resolution, hash_of_tree, is_packaged, sensor_node
 from pixsim.scene.tree import Tree, nodes_of, parse_tree
 from pixsim.scene.white_plate import dark_plate
@@ -69,15 +70,16 @@ KIND = "render"
 def hash_of_job(scene: Scene, state: Tree, camera: Camera, plan: Plan, seed: int) -> str:
     """Return a hash of all that a job's runs depend on (`state`: parsed for the camera); pixel and display act by the plan."""
     lights = []
-    for light in plan.lights:
+    samples = plan.samples
+    for light in plan.light.lamps:
         pulses = [[pulse.low_nm, pulse.high_nm, pulse.values.tolist()] for pulse in light.fit.pulses]
         lights.append([light.lamp.spectrum is None, sorted(light.lamp.pictures.items()), pulses, light.fit.passes])
-    settings: list[Any] = [plan.lens, plan.integrator, plan.spp, plan.sampler, plan.regular_tables]
+    settings: list[Any] = [samples.lens, samples.integrator, samples.spp, samples.sampler, plan.light.regular_tables]
     tree, version = hash_of_tree(state), cache.version_fingerprint("mitsuba", "drjit")
     size = scene.film_shape(camera, state)
-    margin = plan.margin(size, 1e3 * camera.die_mm / size[1])
-    settings += [margin, *plan.ends] if margin else []
-    settings.extend([index, name, table.nodes_nm.tolist(), table.values.tolist()] for index, name, table in plan.held)
+    margin = plan.film.margin(size, 1e3 * camera.die_mm / size[1])
+    settings += [margin, *plan.film.ends] if margin else []
+    settings.extend([index, name, table.nodes_nm.tolist(), table.values.tolist()] for index, name, table in plan.light.held)
     return content_hash(
         [tree, size, scene.sensor_id, scene.choice.variant, camera.without_veil.model_dump(), lights, settings, seed, version]
     )
@@ -125,6 +127,10 @@ SCALAR_STRIPS = 16
 SAMPLES_PER_STRIP = 1 << 16  # of scalar variants; with fewer, the start of a render takes longer than the samples
 SPP_PER_RENDER = 4096  # Mitsuba's float32 sums drift by 1e-5 at 65 536; more samples are averaged here in float64
 ALLOWED_SPP = (1, 1 << 20)
+BLACK_HINT = (
+    "Check that shapes are in view and face the camera, and that lamps face them: area lights and most surfaces are one-sided; "
+    "that the camera is in no shape; that no picture of a lamp is 0; and that hide_emitters is off."
+)
 DEPTH_PLACES = 32  # across and down, at which a scene's depth is looked at
 PICTURES_AT_INFINITY = BACKGROUNDS - {"constant"}  # which is the same in and out of focus
 # Odd, so that seeds stay different modulo any power of two: the scalar variants multiply them by the number of samples of
@@ -186,7 +192,7 @@ def render(
     camera = camera or scene.camera()
     if diffuser:
         scene = replace(scene, diffuser=True)
-        if plan is not None and plan.plate is None and not plan.of_chart:
+        if plan is not None and plan.light.plate is None and not plan.light.chart_white:
             got = "a plan that was made without it"
             raise invalid("diffuser", got, "no plan", "Leave `plan` out, or `diffuser`.")
     job = Renderer(scene, camera, plan or make_render_plan(scene, camera, full=full), seed)
@@ -203,7 +209,7 @@ class Renderer:
     def __init__(
         self, scene: Scene, camera: Camera, plan: Plan, seed: int, *, keep: bool = False, ends_at_s: float | None = None
     ) -> None:
-        camera = plan.camera_of(camera)
+        camera = plan.film.camera_of(camera)
         self.source, self.camera, self.plan, self.seed = scene, camera, plan, seed
         self.seen, self.distortion = rendered_camera(camera), distortion_of(camera)
         text = self.text = scene.text_for_camera(self.seen)
@@ -211,30 +217,30 @@ class Renderer:
         self.size = scene.film_shape(self.seen, state)
         for side in self.size:
             check_resolution(side)
-        if not (plan.exact or ALLOWED_SPP[0] <= plan.spp <= ALLOWED_SPP[1]):
-            raise invalid("spp", plan.spp, f"{ALLOWED_SPP[0]} to {ALLOWED_SPP[1]}")
+        if not (plan.samples.exact or ALLOWED_SPP[0] <= plan.samples.spp <= ALLOWED_SPP[1]):
+            raise invalid("spp", plan.samples.spp, f"{ALLOWED_SPP[0]} to {ALLOWED_SPP[1]}")
         self.pitch_um = 1e3 * camera.die_mm / self.size[1]
-        self.margin = plan.margin(self.size, self.pitch_um)
+        self.margin = plan.film.margin(self.size, self.pitch_um)
         self.field = self.size[0] + 2 * self.margin, self.size[1] + 2 * self.margin  # cells that are rendered
         self.on_axis = float(irradiance_factor(camera.f_number, 0.0, camera.magnification)) * camera.transmittance
         wide = (
             self.seen.model_copy(update={"die_mm": self.seen.die_mm * self.field[1] / self.size[1]}) if self.margin else self.seen
         )
-        lens: dict[str, Any] = {"type": plan.lens, "fov": wide.fov_deg}
-        if plan.lens == "thinlens":
+        lens: dict[str, Any] = {"type": plan.samples.lens, "fov": wide.fov_deg}
+        if plan.samples.lens == "thinlens":
             lens |= {"aperture_radius": camera.aperture_radius_m, "focus_distance": camera.object_distance_m}
-        lamps = tuple(Lamps(light.lamp.pictures, light.lamp.spectrum is not None) for light in plan.lights)
+        lamps = tuple(Lamps(light.lamp.pictures, light.lamp.spectrum is not None) for light in plan.light.lamps)
         sensor = sensor_node(state, scene.sensor_id)[0]
-        equal_steps = irregular_tables(state) if plan.regular_tables else {}
+        equal_steps = irregular_tables(state) if plan.light.regular_tables else {}
         tables = tuple(
             (index, name, regular(float(table.nodes_nm[0]), float(table.nodes_nm[-1]), values))
             for (index, name), (table, values) in equal_steps.items()
         )
-        tables += tuple((index, name, irregular(table.nodes_nm, table.values)) for index, name, table in plan.held)
-        passes = tuple(passes_of(light.fit, plan.bands.span) for light in plan.lights)
+        tables += tuple((index, name, irregular(table.nodes_nm, table.values)) for index, name, table in plan.light.held)
+        passes = tuple(passes_of(light.fit, plan.light.bands.span) for light in plan.light.lamps)
         files = tuple(digest_of(path) for path in named_files(state))
         self.job = TraceJob(
-            scene.choice.variant, text.text, lamps, sensor, lens, plan.integrator, tables, self.field, passes, files
+            scene.choice.variant, text.text, lamps, sensor, lens, plan.samples.integrator, tables, self.field, passes, files
         )
         self.packaged, self.ends_at_s = is_packaged(text), ends_at_s
         self.cache = CachedRenders(hash_of_job(scene, state, camera, plan, seed)) if keep else None
@@ -278,7 +284,7 @@ class Renderer:
         Runs of different index or level are independent. Each level has four times the samples of the one before, rounded up to
         one of `SAMPLE_COUNTS`.
         """
-        result = self.cache.find(index, level) if self.cache and not self.plan.exact else None
+        result = self.cache.find(index, level) if self.cache and not self.plan.samples.exact else None
         if result is None:
             try:
                 _ = self.depths_m  # now: behind the renders no time may be left
@@ -287,7 +293,7 @@ class Renderer:
                 error.args = (self.text.with_place(str(error)),)
                 self.leave_card(error)
                 return self.run(index, progress, level)
-            if self.cache and not self.plan.exact:  # which takes no longer than reading a file
+            if self.cache and not self.plan.samples.exact:  # which takes no longer than reading a file
                 self.cache.store(index, level, *result)
         elif progress:
             progress(1.0)
@@ -300,7 +306,7 @@ class Renderer:
 
         Empty where the plan needs no lens, since all is in focus, and where a depth in view is not known.
         """
-        if self.plan.lens == "perspective":
+        if self.plan.samples.lens == "perspective":
             return []
         key = self.cache and f"{self.cache.job}-depths"
         content = cache.arrays(KIND, key) if key else None
@@ -327,16 +333,16 @@ class Renderer:
 
     def _rendered(self, index: int, level: int, progress: Progress | None) -> tuple[Pictures, int]:
         """Render each strip as an average of renders in float64, with consecutive seeds."""
-        if self.plan.exact:
+        if self.plan.samples.exact:
             return self._exact(), 0
-        asked = self.plan.spp * LEVEL_FACTOR**level
+        asked = self.plan.samples.spp * LEVEL_FACTOR**level
         if level:
             asked = next((count for count in SAMPLE_COUNTS if count >= asked), asked)
-        works = [self._work(scene, asked) for scene in range(len(self.plan.lights))]
+        works = [self._work(scene, asked) for scene in range(len(self.plan.light.lamps))]
         count, number = sum(work.renders * len(work.parts) for work in works), 0
         first = self.seed * SEED_STRIDE + level * LEVEL_STRIDE + index * count
         pictures = []
-        for light, work in zip(self.plan.lights, works, strict=True):
+        for light, work in zip(self.plan.light.lamps, works, strict=True):
             planes: NDArray[np.float32] = zeros((*self.field, len(light.fit.pulses)), np.float32)
             for rows, channels, trace in work.parts:
                 total = np.zeros((rows.stop - rows.start, self.field[1], len(channels)))
@@ -347,7 +353,7 @@ class Renderer:
                         progress(number / count)
                 planes[rows, :, channels] = total
                 release(planes[rows])
-            mirror_margins(planes, self.margin, self.plan.ends)
+            mirror_margins(planes, self.margin, self.plan.film.ends)
             pictures.append(planes)
         return pictures, works[0].spp
 
@@ -356,7 +362,7 @@ class Renderer:
 
         asked : samples per film cell and pass; most samplers round the number up, to stratify them
         """
-        light, sampler = self.plan.lights[scene], self.plan.sampler
+        light, sampler = self.plan.light.lamps[scene], self.plan.samples.sampler
         renders = -(-asked // SPP_PER_RENDER)
         spp = self.tracer.sample_count(sampler, -(-asked // renders))
         # Scalar variants have no kernels that passes could share.
@@ -379,10 +385,10 @@ class Renderer:
 
     def _exact(self) -> Pictures:
         """Return the pictures of a chart from its texels. Every pulse has the spectrum of the lamp, so they are all alike."""
-        assert self.plan.chart is not None
-        picture = (replace(self.plan.chart, shape=self.field) if self.margin else self.plan.chart).picture()
-        mirror_margins(picture, self.margin, self.plan.ends)
-        return [np.broadcast_to(picture[:, :, None], (*picture.shape, len(light.fit.pulses))) for light in self.plan.lights]
+        assert self.plan.film.chart is not None
+        picture = (replace(self.plan.film.chart, shape=self.field) if self.margin else self.plan.film.chart).picture()
+        mirror_margins(picture, self.margin, self.plan.film.ends)
+        return [np.broadcast_to(picture[:, :, None], (*picture.shape, len(light.fit.pulses))) for light in self.plan.light.lamps]
 
     def _strip_borders(self, spp: int, samples_per_kernel: int) -> list[int]:
         """Return the rows that divide a render into parts, so that Ctrl-C works between them."""
@@ -400,11 +406,12 @@ class Renderer:
         diffuser : what `self.diffuser` was before the render, behind which no time may be left for a white plate
         """
         if not any(self.lit(picture) for picture in pictures):
-            raise invalid("rendered picture", "a black picture", "some light", self._cause_of_black())
+            dark_skies = warnings_of_skies(parse_tree(self.text.text, self.source.choice.reading), self.source.choice.reading)
+            raise invalid("rendered picture", "a black picture", "some light", " ".join(dark_skies) or BLACK_HINT)
         white = self.diffuser if diffuser is None else diffuser
         header = provenance(self.source, self.camera, self.plan, self.seed, spp) | {"film": list(self.size)} | white | more
         header |= {DEPTHS: finite_or_none([float(f"{depth_m:.6g}") for depth_m in self.depths_m])} if self.depths_m else {}
-        if self.plan.factored:
+        if self.plan.light.factored:
             planes = [picture[:, :, pulse] for picture in pictures for pulse in range(picture.shape[2])]
             stored: NDArray[np.float32] = zeros((len(planes), *self.field), np.float32)
             for rows in strips(*self.field):
@@ -414,7 +421,7 @@ class Renderer:
                     release(place[rows])
                 release(*(picture[rows] for picture in pictures))
             return self._image(header, factors=(self.spectra, stored), margin=self.margin)
-        bands = self.plan.bands.width_nm.size
+        bands = self.plan.light.bands.width_nm.size
         if 4 * bands * math.prod(self.field) > mapped.MOST_BYTES:  # in a file each band has a place of its own
             data = np.moveaxis(zeros((bands, *self.field), np.float32), 0, 2)
         else:
@@ -432,21 +439,14 @@ class Renderer:
 
         Raises PixsimError if no light reaches the plate.
         """
-        plan, plate = self.plan, self.plan.plate
-        if plan.of_chart:
-            white = {"luminance_cd_per_m2": plan.white_cd_per_m2, WHITE_RADIANCE: plan.white_w_per_m2_sr}
-            return {DIFFUSER: {name: float(f"{value:.9g}") for name, value in white.items() if value}}
-        if plate is None:
+        light, plate = self.plan.light, self.plan.light.plate
+        if not self.source.diffuser:
             return {}
+        if plate is None:
+            return {DIFFUSER: light.chart_white}
         spectrum = plate_spectrum(plate, keep=self.cache is not None, ends_at_s=self.ends_at_s)
-        per_nm = spectrum.cell_means(plan.bands.edges_nm)
+        per_nm = spectrum.cell_means(light.bands.edges_nm)
         return {DIFFUSER: {"distance_m": float(f"{plate.distance_m:.6g}"), DIFFUSER_W: [float(f"{each:.9g}") for each in per_nm]}}
-
-    def _cause_of_black(self) -> str:
-        state = parse_tree(self.text.text, self.source.choice.reading)
-        sensor = sensor_node(state, self.source.sensor_id)[1]
-        dark_skies = warnings_of_skies(state, self.source.choice.reading)
-        return cause_of_black(state, sensor, self.seen, self.size[1] / self.size[0], dark_skies)
 
     def lit(self, picture: Picture) -> bool:
         """Return whether there is light in a picture (H, W, pulses)."""
@@ -459,9 +459,9 @@ class Renderer:
     def _bands(self, pictures: Sequence[Picture], fall_off: Array) -> Iterator[Array]:
         """Iterate over the irradiance in each band; all bands at once would fill the memory."""
         factor = self.on_axis * fall_off
-        for band in range(self.plan.bands.width_nm.size):
+        for band in range(self.plan.light.bands.width_nm.size):
             total = np.zeros(fall_off.shape)
-            for light, planes in zip(self.plan.lights, pictures, strict=True):
+            for light, planes in zip(self.plan.light.lamps, pictures, strict=True):
                 for pulse in np.flatnonzero(light.fit.spectra[:, band]):
                     total += light.fit.spectra[pulse, band] * planes[:, :, pulse]
             yield total * factor
@@ -469,7 +469,7 @@ class Renderer:
     @property
     def spectra(self) -> Array:
         """Irradiance on the axis, (pulses, B) W m⁻² nm⁻¹, per unit of a pulse's picture."""
-        return np.vstack([light.fit.spectra for light in self.plan.lights]) * self.on_axis
+        return np.vstack([light.fit.spectra for light in self.plan.light.lamps]) * self.on_axis
 
     @property
     def units(self) -> SpectralImage:
@@ -477,7 +477,7 @@ class Renderer:
         return self._image({}, factors=(self.spectra, np.eye(len(self.spectra))[:, None, :]))
 
     def _image(self, header: dict[str, Any], **light: Any) -> SpectralImage:
-        b = self.plan.bands
+        b = self.plan.light.bands
         return SpectralImage(b.wavelength_nm, b.width_nm, self.pitch_um, within=(b.nodes_nm, b.shares), header=header, **light)
 
 
@@ -508,23 +508,23 @@ def _checked(values: NDArray[np.float32], channels: int) -> Array:
 def provenance(scene: Scene, camera: Camera, plan: Plan, seed: int, spp: int) -> dict[str, Any]:
     """Return the provenance of an irradiance; equal inputs give equal files."""
     decisions = [f"{d.subject}: {'kept' if d.kept else 'left out'}, {d.reason}" for d in plan.decisions]
-    variant = scene.choice.reading if plan.exact else scene.choice.variant  # nothing is traced: a graphics card has no part in it
+    variant = scene.choice.variant
+    if plan.samples.exact:  # nothing is traced: a graphics card has no part in it
+        variant = scene.choice.reading
     header: dict[str, Any] = {"scene": scene.path.name, "scene_hash": scene.content_hash, "parameters": scene.shown_parameters}
     header |= {"camera": camera.model_dump(), "seed": seed, "spp": spp, "variant": variant, "plan": decisions}
     header |= {
         "bound_e": plan.bound_e if plan.bounded else None,
         "spare_e": plan.spare_e,
-        "diffraction": plan.diffraction,
+        "diffraction": plan.film.diffraction,
         "pixsim": VERSION,
     }
-    if plan.tiling is not None:
-        header |= {LENS_HEADER: asdict(plan.tiling), RINGS: True}
-    header |= plan.white_header(plan.bands.edges_nm)
-    if white := scene.white_cd_per_m2 or plan.white_cd_per_m2:
-        header["luminance_cd_per_m2"] = float(f"{white:.9g}")
-    elif plan.white_w_per_m2_sr:
-        header[WHITE_RADIANCE] = float(f"{plan.white_w_per_m2_sr:.9g}")
-    return header
+    if plan.film.tiling is not None:
+        header |= {LENS_HEADER: asdict(plan.film.tiling), RINGS: True}
+    header |= plan.light.white_header(plan.light.bands.edges_nm)
+    if scene.white_cd_per_m2:
+        return header | {LUMINANCE: float(f"{scene.white_cd_per_m2:.9g}")}
+    return header | plan.light.chart_white
 
 
 def plate_spectrum(plate: WhitePlate, *, keep: bool = False, ends_at_s: float | None = None) -> Spectrum:
@@ -538,10 +538,10 @@ def plate_spectrum(plate: WhitePlate, *, keep: bool = False, ends_at_s: float | 
     """
     job = Renderer(plate.scene, plate.camera, plate.plan, white_plate.SEED, keep=keep, ends_at_s=ends_at_s)
     job.job = replace(job.job, lens=plate.lens)
-    bands, per_nm = plate.plan.bands, np.zeros(0)
+    bands, per_nm = plate.plan.light.bands, np.zeros(0)
     for level in range(white_plate.LEVELS):
         pictures, _ = job.run(0, level=level)
-        parts = [picture.astype(float) @ light.fit.spectra for light, picture in zip(plate.plan.lights, pictures, strict=True)]
+        parts = [picture.astype(float) @ light.fit.spectra for light, picture in zip(plate.plan.light.lamps, pictures, strict=True)]
         cells = np.sum(parts, axis=0).reshape(-1, bands.width_nm.size)
         per_nm, power = cells.mean(axis=0), cells @ bands.width_nm
         if power.std(ddof=1) / math.sqrt(power.size) <= white_plate.NOISE * power.mean():

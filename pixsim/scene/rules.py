@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, wraps
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
@@ -22,22 +22,9 @@ from pixsim.base.mapped import release, zeros
 from pixsim.light.spectral import HIGH_NM, WHOLE, Spectrum, regular_values
 from pixsim.optics.camera import Camera
 from pixsim.optics.diffraction import diffract
-from pixsim.scene.contents import (
-    FLAT,
-    IN_FRONT_M,
-    LAMBERTIAN,
-    Body,
-    emitted_picture,
-    face_one_way,
-    find_bodies,
-    greatest_blur_um,
-    matrix_of,
-    parsed_table,
-)
-from pixsim.scene.tree import Node, Tree, children, nodes_of
-from pixsim.sensor.pixel import derive
-from pixsim.sensor.pixel_options import Pixel
-from pixsim.sensor.technology import load_technology
+from pixsim.scene.contents import FLAT, LAMBERTIAN, Body, emitted_picture, face_one_way, greatest_blur_um, parsed_table
+from pixsim.scene.tree import Tree, children, nodes_of
+from pixsim.sensor.pixel import PixelPhysics
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -361,12 +348,12 @@ def decide_tables(state: Tree, full: bool) -> tuple[bool, Decision]:
 
 
 def decide_lens(
-    state: Tree, camera: Camera, bodies: list[Body], aspect: float, pixel: Pixel | None, tolerance_e: float, full: bool
+    state: Tree, camera: Camera, bodies: list[Body], aspect: float, pixel: PixelPhysics | None, tolerance_e: float, full: bool
 ) -> tuple[Literal["thinlens", "perspective"], Decision]:
     """Replace the lens by a pinhole if everything in view is in focus and looks the same from every point of the lens."""
     visible = [body for body in bodies if body.in_view(camera, aspect)]
     blur = max((greatest_blur_um(camera, body) for body in visible), default=0.0)
-    side_um = derive(pixel, load_technology(pixel.technology)).aperture_side_um if pixel else 1.0
+    side_um = pixel.aperture_side_um if pixel else 1.0
     blur_text = f"blur up to {blur:.3g} µm" if math.isfinite(blur) else "shapes of unknown size or at the lens"
     if full:
         return "thinlens", Decision("lens samples", True, f"nothing left out ({blur_text})")
@@ -442,92 +429,6 @@ def ends_with_film(state: Tree, camera: Camera, bodies: list[Body], shape: tuple
         return False, False
     above, beside = (abs(v / h - 1) <= ENDS for v, h in zip(_view(camera, bodies[0], shape), half, strict=True))
     return above, beside
-
-
-ONE_SIDED = ("diffuse", "conductor", "roughconductor", "plastic", "roughplastic")  # black from behind
-
-
-def _is_inside(state: Tree, body: Body, eye: Array) -> bool:
-    """Return whether a point in world coordinates, (3,), lies in a sphere or a cube that is no room: its front is outside."""
-    shape = state.nodes[body.node]
-    if shape.get("flip_normals", False):
-        return False
-    place = np.linalg.solve(matrix_of(shape), [*eye, 1.0])[:3]
-    if shape.plugin == "sphere":
-        centre = np.array(shape.get("center", [0.0, 0.0, 0.0]), float).ravel()
-        return float(np.linalg.norm(place - centre)) < float(shape.get("radius", 1.0))
-    return shape.plugin == "cube" and float(np.abs(place).max()) < 1
-
-
-def _faces(body: Body, points: Array) -> bool:
-    """Return whether one of some points, (n, 3) in the camera's frame, is on the front side of a flat shape."""
-    assert body.corners is not None
-    return bool((((points - body.corners.mean(axis=0)) @ body.normal) > IN_FRONT_M).any())
-
-
-def cause_of_black(state: Tree, sensor: Node, camera: Camera, aspect: float, dark_skies: Sequence[str]) -> str:
-    """Return the likeliest cause of a black picture, and what to do; a list of usual causes where none is certain.
-
-    dark_skies : warnings of skies whose sun is below the horizon
-    """
-    bodies = find_bodies(state, sensor)
-    visible = [body for body in bodies if body.in_view(camera, aspect)]
-    emitters = [node for _, node in nodes_of(state, "Emitter")]
-    hidden = any(node.get("hide_emitters", False) for _, node in nodes_of(state, "Integrator"))
-    eye = matrix_of(sensor)[:3, 3]
-    lens = np.zeros((1, 3))
-
-    def parts(body: Body) -> list[Node]:
-        return [state.nodes[index] for index in children(state.nodes[body.node], state).values()]
-
-    def one_sided(body: Body) -> bool:
-        bsdfs = [part.plugin for part in parts(body) if part.kind == "BSDF"]
-        return all(plugin in ONE_SIDED for plugin in bsdfs)  # diffuse without any
-
-    shining = [body for body in bodies if any(part.kind == "Emitter" for part in parts(body))]
-    flat = all(body.normal is not None for body in shining)
-    only_lamps = all(any(body is lamp for lamp in shining) for body in visible)
-    backs = [body.normal is not None and not _faces(body, lens) and one_sided(body) for body in visible]
-    pictures = [emitted_picture(state, emitter) for emitter in emitters]
-    lit_by_flat = flat and len(shining) == len(emitters) > 0
-
-    def lights(lamp: Body) -> bool:
-        others = [body.corners for body in bodies if body is not lamp]
-        if any(corners is None for corners in others):
-            return True
-        return _faces(lamp, np.vstack([lens, *(corners for corners in others if corners is not None)]))
-
-    # Each with its words; the first that holds is said.
-    causes = (
-        (len(dark_skies) == len(emitters), dark_skies[0] if dark_skies else ""),
-        (
-            bool(pictures) and all(picture is not None and not picture.texels.any() for picture in pictures),
-            "The picture of each emitter is 0 everywhere.",
-        ),
-        (
-            any(_is_inside(state, body, eye) for body in bodies),
-            "The camera is inside a shape: move it (to_world of the sensor), or make the shape smaller.",
-        ),
-        (
-            bool(bodies) and not visible,
-            "No shape is in view: all are behind the camera or beside its view. Check to_world of the sensor.",
-        ),
-        (hidden and only_lamps, "Nothing but emitters is in view, and hide_emitters is on: switch it off."),
-        (
-            lit_by_flat and not any(lights(lamp) for lamp in shining),
-            "All lamps face away from the camera and from all shapes: area lights are one-sided. Turn them, or set flip_normals.",
-        ),
-        (
-            bool(backs) and all(backs),
-            'All shapes in view show their back, which is black: turn them, set flip_normals, or use <bsdf type="twosided">.',
-        ),
-        (
-            any(node.plugin == "mesh_attribute" for node in state.nodes),
-            "A texture mesh_attribute is black where its shape has no attribute of that name.",
-        ),
-    )
-    usual = "Check that the chart faces the camera and is lit, and that hide_emitters is off: area lights are one-sided."
-    return next((words for holds, words in causes if holds), usual)
 
 
 def decide_samples(

@@ -290,9 +290,8 @@ def load_scene(
     3.86
     """
     path = scene_path(scene)
-    luminance, white = parameters.pop(LUMINANCE, None), parameters.pop(WHITE, None)
-    lamps = parameters.pop(WHITE_LAMPS, None)
-    highest = parameters.pop(charts.MAX_LP_PER_MM, None)
+    only_here = {name: parameters.pop(name, None) for name in (LUMINANCE, WHITE, WHITE_LAMPS, charts.MAX_LP_PER_MM)}
+    luminance, white, lamps, highest = only_here.values()
     linear = _flag(CHART_LINEAR, parameters.pop(CHART_LINEAR, False))
     beyond = _beyond(parameters.pop(BEYOND_TABLES, None))
     given = {name: str(value) for name, value in parameters.items()}
@@ -302,11 +301,6 @@ def load_scene(
     lux = None if ILLUMINANCE in names else given.pop(ILLUMINANCE, None)
     if lux is not None and luminance is not None:
         raise invalid(ILLUMINANCE, f"'{lux}' beside {LUMINANCE}", "one of them", "A white diffuser in E lx has E / π cd/m².")
-    if lux is not None and ILLUMINANCE not in text.defaults:
-        if EMITTER_SCALE not in names:
-            raise _no_illuminance(path, lux)
-        luminance = _positive(ILLUMINANCE, lux) / math.pi
-        lux = None
     also = (
         (LUMINANCE, EMITTER_SCALE),
         (ILLUMINANCE, EMITTER_SCALE),
@@ -319,24 +313,19 @@ def load_scene(
     own_chart = Path(text.defaults.get(CHART, "")).name if CHART in names and CHART not in given else ""
     settable |= set(PARAMETERS_OF_CHARTS.get(own_chart, ()))
     allowed = names | settable
-    if wrong := [name for name in given if name not in allowed]:
+    only_here[ILLUMINANCE] = lux
+    stated = [name for name, value in only_here.items() if value is not None]
+    wrong = [name for name in (*given, *stated) if name not in allowed]
+    if wrong:
         similar = difflib.get_close_matches(wrong[0], allowed, 1)
         settings = [".".join(path) for path in names_meant(Run.__name__, ["scene"], wrong[0])]
         hint = f"The setting of this name is {' or '.join(settings)}, beside the scene." if settings else ""
         hint = f"Did you mean '{similar[0]}'?" if similar else hint
         raise invalid("scene parameter", f"'{wrong[0]}'", ", ".join(sorted(allowed)), hint)
-    file_white = text.defaults.get(WHITE)
-    if white is not None and file_white is None:
-        got = f"'{white}', but '{path.name}' has no such <default>"
-        raise invalid(WHITE, got, "a scene with this <default>", "Set display.white_cd_per_m2.")
-    file_lamps = text.defaults.get(WHITE_LAMPS)
-    if lamps is not None and file_lamps is None:
-        got = f"'{lamps}', but '{path.name}' has no such <default>"
-        raise invalid(WHITE_LAMPS, got, f'a scene with <default name="{WHITE_LAMPS}" value="…"/>, ids of its emitters')
-    if highest is not None and own_chart != "csf.exr":
-        got = f"'{highest}', but the chart of '{path.name}' is another{' (-D chart)' if CHART in given else ''}"
-        raise invalid(charts.MAX_LP_PER_MM, got, "the scene csf with its own chart")
-    display_white = file_white if white is None else white
+    if lux is not None and ILLUMINANCE not in text.defaults:  # a chart, whose white a diffuser is as bright as
+        luminance = _positive(ILLUMINANCE, lux) / math.pi
+        lux = None
+    display_white = text.defaults.get(WHITE) if white is None else white
     choice = variants.choose(variant)
     shown_white = None if display_white is None else _positive(WHITE, display_white)
     # The text is that of the resolved file, unless a link's folder has the files that it names.
@@ -345,7 +334,8 @@ def load_scene(
     loaded = _with_target(loaded) if own_chart == TARGET_FILE else loaded
     loaded = replace(_with_own_chart(loaded, text, picture, linear), beyond_tables=beyond)
     state = loaded.parse()
-    white_lamps = tuple(dict.fromkeys(str((file_lamps if lamps is None else lamps) or "").replace(",", " ").split()))
+    lamp_names = text.defaults.get(WHITE_LAMPS, "") if lamps is None else str(lamps)
+    white_lamps = tuple(dict.fromkeys(lamp_names.replace(",", " ").split()))
     if white_lamps:
         white_of(state, find_lamps(state, choice.reading), white_lamps)
         loaded = replace(loaded, white_lamps=white_lamps)
@@ -422,9 +412,6 @@ def _flag(name: str, value: object) -> bool:
 def _with_luminance(scene: Scene, text: SceneText, luminance: object, keeps_white: bool) -> Scene:
     """Return the scene with the luminance of texel value 1, which a white of its file follows."""
     value = _positive(LUMINANCE, luminance)
-    if EMITTER_SCALE not in scene.names:
-        got = f"{value:g}, but '{scene.path.name}' has no parameter {EMITTER_SCALE}"
-        raise invalid(LUMINANCE, got, f'scenes whose emitter has <float name="scale" value="${EMITTER_SCALE}"/>')
     unit = scene.with_parameters(**{EMITTER_SCALE: "1"}).parse()
     lamp = find_lamp(unit, scene.choice.reading)
     if lamp is None or not lamp.luminance_cd_per_m2 > 0:
@@ -452,16 +439,6 @@ def _with_illuminance(scene: Scene, text: SceneText, lux: object, keeps_white: b
     lit = replace(scene, strength=factor, white_cd_per_m2=white, parameters={**scene.parameters, ILLUMINANCE: str(lux)})
     lit.text()  # raises for lamps without a number to scale
     return lit
-
-
-def _no_illuminance(path: Path, lux: str) -> PixsimError:
-    got = f"'{lux}', but '{path.name}' states no illuminance"
-    allowed = f'scenes with <default name="{ILLUMINANCE}" value="…"/>, or with a chart of the scale ${EMITTER_SCALE}'
-    hint = (
-        "Write this <default> in the file, with the illuminance in lx that its lamps give a place of your choice: "
-        f"{caller.parameter(ILLUMINANCE, lux)} then scales all of them."
-    )
-    return invalid(ILLUMINANCE, got, allowed, hint)
 
 
 # Luminances in cd/m² and illuminances in lux: below a photon a year on a pixel, to a million suns.

@@ -481,7 +481,7 @@ def compared_sensor(group: SensorGroup, lit: LitCase, light: Light, plan: Plan) 
     white_e = chain.white_e_per_s * time_s
     with without_warnings():  # the result itself warns
         of_run = Imaging.of(case.settings, case.camera)
-        steps = kept_steps(light.image, of_run, plan.chart, group.border_um(case.camera) / BORDER_PIXELS)
+        steps = kept_steps(light.image, of_run, plan.film.chart, group.border_um(case.camera) / BORDER_PIXELS)
     return ComparedSensor(
         case=case,
         light=light,

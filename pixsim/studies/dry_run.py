@@ -68,20 +68,20 @@ def render_seconds(plan: Plan, shape: tuple[int, int], cores: int) -> float:
     Two renders show the noise. A film whose error turns out too large is rendered again, which is not foreseen.
     """
     cells = math.prod(shape)
-    samples = 0.0 if plan.exact else 2.0 * cells * plan.spp * plan.passes
+    samples = 0.0 if plan.samples.exact else 2.0 * cells * plan.samples.spp * plan.light.passes
     if plan.many_bounces:
-        samples = max(samples, float(plan.most_samples))
-    of_cell_s = CELL_S if plan.tiling is None else LENS_CELL_S
-    kernels_s = 0.0 if plan.exact else KERNEL_S * len(plan.lights)
+        samples = max(samples, float(plan.max_samples))
+    of_cell_s = CELL_S if plan.film.tiling is None else LENS_CELL_S
+    kernels_s = 0.0 if plan.samples.exact else KERNEL_S * len(plan.light.lamps)
     return kernels_s + samples * SAMPLE_S / cores + cells * of_cell_s
 
 
 def render_bytes(plan: Plan, shape: tuple[int, int]) -> float:
     """Estimate the memory of a render, with the program."""
     cells = math.prod(shape)
-    if 8 * cells * plan.planes > MOST_BYTES:
-        return BASE_BYTES + film_memory_bytes(cells, plan.planes) - PROGRAM_BYTES
-    return BASE_BYTES + max(cells * FILM_BYTES_PER_CELL, film_bytes(cells, plan.planes) - PROGRAM_BYTES)
+    if 8 * cells * plan.light.planes > MOST_BYTES:
+        return BASE_BYTES + film_memory_bytes(cells, plan.light.planes) - PROGRAM_BYTES
+    return BASE_BYTES + max(cells * FILM_BYTES_PER_CELL, film_bytes(cells, plan.light.planes) - PROGRAM_BYTES)
 
 
 def _frame_costs(study: Study, camera: Camera, known: dict[Any, list[FrameCost]]) -> list[FrameCost]:
@@ -151,7 +151,7 @@ def study_cost(
     seconds = START_S + PAGE_S + renders_s + frames_s / jobs + CURVE_S * min(curves, MOST_CURVES)
 
     cells = math.prod(shape)
-    light = min(4.0 * cells * (plan.planes if plan.factored else plan.bands.width_nm.size), MOST_BYTES)
+    light = min(4.0 * cells * (plan.light.planes if plan.light.factored else plan.light.bands.width_nm.size), MOST_BYTES)
     behind_lens = FILM_BYTES_PER_CELL * cells / 2
     held = min(lights * behind_lens, max(behind_lens, SCENE_CACHE_BYTES))
     memory_bytes = max(render_bytes(plan, shape), BASE_BYTES + light + held + jobs * (BASE_BYTES + largest))
@@ -215,13 +215,13 @@ def planned_light(request: LightRequest) -> dict[str, Any]:
     render_noise : its target, as a fraction of the sensor's noise
     """
     (height, width), plan, smallest, settings = request.shape, request.plan, request.measured[0], request.settings
-    per_dot = samples_per_dot(width, smallest, plan.chart)
-    rays = plan.most_samples / math.prod(pixels_on(smallest.camera.die_um, smallest.pixel.pitch_um))
+    per_dot = samples_per_dot(width, smallest, plan.film.chart)
+    rays = plan.max_samples / math.prod(pixels_on(smallest.camera.die_um, smallest.pixel.pitch_um))
     pitch_um = 1e3 * request.camera.die_mm / width
     errors = {
         "film_share": film_error(0.0, 0.0, 1.0, per_dot),
-        "rays_a_pixel": 0.0 if plan.exact else None if settings.max_seconds else rays,
+        "rays_a_pixel": 0.0 if plan.samples.exact else None if settings.max_seconds else rays,
         "render_noise": settings.render_noise,
     }
-    film = {"samples": [height, width], "pitch_um": pitch_um, "spp": plan.spp, "passes": plan.passes}
+    film = {"samples": [height, width], "pitch_um": pitch_um, "spp": plan.samples.spp, "passes": plan.light.passes}
     return {"film": film, "errors": errors}

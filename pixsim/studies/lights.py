@@ -96,7 +96,7 @@ class LightRequest:
     @property
     def first(self) -> Scene:
         """The scene on the first film."""
-        return self.scene.with_resolution(self.plan.resolution) if self.plan.resolution else self.scene
+        return self.scene.with_resolution(self.plan.film.resolution) if self.plan.film.resolution else self.scene
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -142,7 +142,13 @@ class LightRequest:
         """Return the error of a film, measured in its picture."""
         tolerance_delta_e, larger = self.settings.tolerance_delta_e, self.larger
         return measure_film(
-            image, self.measured, chart=plan.chart, tolerance_delta_e=tolerance_delta_e, keep=True, larger=larger, progress=progress
+            image,
+            self.measured,
+            chart=plan.film.chart,
+            tolerance_delta_e=tolerance_delta_e,
+            keep=True,
+            larger=larger,
+            progress=progress,
         )
 
 
@@ -181,7 +187,7 @@ def rendered_light(request: LightRequest, progress: Progress | None = None) -> t
     scene, plan, settings = request.scene, request.plan, request.settings
     for note in plan.warnings:
         warn(note)
-    rendering = RENDERING_CHART if plan.exact else RENDERING
+    rendering = RENDERING_CHART if plan.samples.exact else RENDERING
 
     def measure(image: SpectralImage, plan: Plan) -> FilmError:
         part = share_of(progress, rendering, 1.0, f", the error of a film of {image.shape[1]} samples across")
@@ -259,9 +265,9 @@ def render_on_film(
     fixed : what sets the film, if it is not free
     coarser : times that the first film has fewer samples across than that of the plan
     max_seconds : of each render; a film that would take longer than what the earlier ones left of it is not tried. None means a
-        limit of the samples, `Plan.most_samples`.
+        limit of the samples, `Plan.max_samples`.
     """
-    chosen = scene.with_resolution(plan.resolution) if plan.resolution else scene
+    chosen = scene.with_resolution(plan.film.resolution) if plan.film.resolution else scene
     if coarser > 1:
         height, width = chosen.film_shape(camera, chosen.for_camera(camera))
         chosen = chosen.with_resolution(fitting_width(height / width, max(LEAST_ACROSS, width // coarser), width))
@@ -274,11 +280,11 @@ def render_on_film(
         rendered_s, film = rendered_s + seconds, measure(image, plan)
         width, ratio = image.shape[1], camera.height_mm / camera.die_mm
         in_time = plan.cells_in_time if max_seconds is None else math.inf
-        most = largest_film(ratio, plan.planes, in_time)
+        most = largest_film(ratio, plan.light.planes, in_time)
         wider = fitting_width(ratio, 2 * width, most)
         if film.met:
             return Light(image, camera, film, noise), plan
-        end = f"the limit of {most} samples across for {plan.planes} picture{'s' * (plan.planes > 1)}"
+        end = f"the limit of {most} samples across for {plan.light.planes} picture{'s' * (plan.light.planes > 1)}"
         left = film.left_on(most, before)
         if fixed:
             limit = fixed
@@ -422,7 +428,7 @@ def render_lights(
     lights: dict[str, Light | str] = {}
     if len(different) == 1:
         lights = {key: _light_or_reason(case, stage("render")) for key, case in different.items()}
-    elif light_request(cases[0]).plan.exact:
+    elif light_request(cases[0]).plan.samples.exact:
         # A worker of a cluster may lack files of the user's, or have others of the same name.
         here = workers if workers.client is None else workers_here()
         lights = _computed_lights(different, stage("render"), here, store)

@@ -184,8 +184,8 @@ def climb(request: LightRequest, across: int, efforts: Sequence[float], progress
     """
     camera, imaging = request.camera, request.measured[0]
     ratio = camera.height_mm / camera.die_mm
-    most = largest_film(ratio, request.plan.planes, math.inf)
-    reference = REFERENCE_OF_CHART if request.plan.exact and REFERENCE_OF_CHART * across <= most else REFERENCE
+    most = largest_film(ratio, request.plan.light.planes, math.inf)
+    reference = REFERENCE_OF_CHART if request.plan.samples.exact and REFERENCE_OF_CHART * across <= most else REFERENCE
     wanted = [*efforts, *([reference] if reference * across <= most else [])]
     widths = {effort: fitting_width(ratio, max(LEAST_ACROSS, effort * across), most) for effort in wanted}
     _measure(request, imaging, widths[efforts[0]], 1 / efforts[0], None)  # what is compiled now counts for no rung
@@ -224,6 +224,6 @@ def _measure(request: LightRequest, imaging: Imaging, across: int, noise_times: 
             noise = standard_noise_of(chain, imaging, 0)
         mean_delta_e = score_with(chain, noise).mean_delta_e
         seconds = time.perf_counter() - start
-        film = measure_film(image, [imaging], chart=plan.chart)
+        film = measure_film(image, [imaging], chart=plan.film.chart)
     light, limit = light_error_and_limit(image.header, film)
     return Rung(across, render_noise, seconds, mean_delta_e, light, limit), noise

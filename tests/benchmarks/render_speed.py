@@ -100,7 +100,7 @@ def pruned(name: str, resolution: int, variant: str | None = None) -> tuple[Pict
     jobs: dict[int, Renderer] = {}
 
     def picture(spp: int, seed: int) -> tuple[np.ndarray, float]:
-        job = jobs.setdefault(spp, Renderer(scene, camera, replace(plan, spp=spp), 0))
+        job = jobs.setdefault(spp, Renderer(scene, camera, replace(plan, samples=replace(plan.samples, spp=spp)), 0))
         start = time.perf_counter()
         rate = ideal_rate(job.image(*job.run(seed)), PHYSICS)
         return rate, time.perf_counter() - start
@@ -213,7 +213,7 @@ def main() -> None:
             steps = "  ".join(f"{spp}: {s:.2f} s {error:.2%}" for spp, s, error in ladder)
             print(f"  {side:12} {seconds:10.2f} s  {how:60} {steps}")
         for side, ladder in ladders.items():
-            path_us, variance = of_a_path(ladder, options.resolution, plan.passes if side == "pruned" else 1)
+            path_us, variance = of_a_path(ladder, options.resolution, plan.light.passes if side == "pruned" else 1)
             print(f"  {side:12} {path_us:.3f} µs a path, whose relative variance is {variance:.3g}")
         for sampler, asked in (("independent", asked_independent), ("multijitter", asked_multijitter)):
             ratio = reached[sampler] / reached["pruned"]

@@ -111,7 +111,7 @@ def test_a_slow_lens_has_one_blur_however_fine_the_film_is() -> None:
     tilings = []
     for resolution in (512, 8192):  # two samples or more across a photodiode
         scene = load_scene("csf", resolution=resolution)
-        tilings.append(make_render_plan(scene, scene.camera(camera, lens), pixel).tiling)
+        tilings.append(make_render_plan(scene, scene.camera(camera, lens), pixel).film.tiling)
     assert tilings[0] == tilings[1]
     code, out, err = command(f"{SLOW}=8192 --lens", FIXED)
     assert code == 0, err

@@ -280,7 +280,7 @@ def test_render_until_pair_without_time_is_left_out(monkeypatch, stuck):
 def test_render_until_time_for_no_picture_raises():
     """A packaged scene ends with its time, too; without a picture that is an error. Its child does not answer here."""
     scene, camera, plan = prepared()
-    Renderer(scene, camera, plan, 0, ends_at_s=math.inf).tracer.sample_count(plan.sampler, plan.spp)
+    Renderer(scene, camera, plan, 0, ends_at_s=math.inf).tracer.sample_count(plan.samples.sampler, plan.samples.spp)
     os.kill(child._child.process.pid, signal.SIGSTOP)
     start = time.monotonic()
     with pytest.raises(OutOfTimeError, match=r"max_seconds: got a limit in which Mitsuba does not finish.*Raise it"):

@@ -69,7 +69,7 @@ def test_packaged_charts_fill_die_of_any_shape(name, camera):
     if name == "flat":
         np.testing.assert_allclose(picture, 1, rtol=1e-3)
     if name != "siemens_star":  # its texture is continued beyond its border
-        assert make_render_plan(load(name).with_resolution(96), camera).chart is not None
+        assert make_render_plan(load(name).with_resolution(96), camera).film.chart is not None
 
 
 @pytest.mark.parametrize("camera", [LANDSCAPE, PORTRAIT])
@@ -152,7 +152,7 @@ def test_render_film_gives_pixels_of_die(pixels, pitch_um):
     light = pixsim.render(scene.with_resolution(fitting_width(rows / columns, 300, MAX_ACROSS)), camera)
     assert pixsim.evaluate(light, camera, pixel).frame.dn.shape == (rows, columns)
     assert pixsim.make_sensor(pixel, camera).shape == (rows, columns)
-    assert plan.resolution is None  # 90 periods need no more than the film of the scene
+    assert plan.film.resolution is None  # 90 periods need no more than the film of the scene
 
 
 def test_plan_display_raises_film_of_unknown_scene():
@@ -161,21 +161,21 @@ def test_plan_display_raises_film_of_unknown_scene():
     plan = make_plan(scene, camera, pixel, display=Display(dots=100))
     side_um = pixsim.derive(pixel).photodiode_side_um
     details = min(2 * 100, 2713.6 / side_um)
-    assert plan.resolution == BLOCK * math.ceil(2 * details / BLOCK)
+    assert plan.film.resolution == BLOCK * math.ceil(2 * details / BLOCK)
     (decision,) = (decision for decision in plan.decisions if decision.subject == "oversampling")
     assert f"not 64 as in the scene: {details:.4g} half dots of the display" in decision.reason
-    assert make_plan(scene, camera, pixel).resolution is None  # without a display the scene's film stays
-    assert make_plan(scene.with_resolution(64), camera, pixel, display=Display(dots=100)).resolution is None
+    assert make_plan(scene, camera, pixel).film.resolution is None  # without a display the scene's film stays
+    assert make_plan(scene.with_resolution(64), camera, pixel, display=Display(dots=100)).film.resolution is None
     finer = load("line_lamp", resolution=2000)
-    assert make_plan(finer, camera, pixel, display=Display(dots=100)).resolution is None
+    assert make_plan(finer, camera, pixel, display=Display(dots=100)).film.resolution is None
 
 
 def test_chart_details_of_known_charts():
     """Twice the highest frequency of the CSF chart; a sine in the texture; one for a uniform field."""
-    chart = make_render_plan(load("csf"), Camera()).chart
+    chart = make_render_plan(load("csf"), Camera()).film.chart
     assert chart is not None
     assert 1 < chart.details / (2 * 33.3 * 2.7136) < 1.4  # a sweep that ends at 33.3 lp/mm has a little above
-    flat = make_render_plan(load("flat"), Camera()).chart
+    flat = make_render_plan(load("flat"), Camera()).film.chart
     assert flat is not None
     assert flat.details == 1
 

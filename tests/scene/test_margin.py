@@ -73,7 +73,8 @@ def seen(scene: Scene, cells: int, lens: str = "singlet", **options: object) -> 
     scene = scene.with_resolution(cells)
     given = LensOptions(file=lens, focal_length_mm=12.0)
     camera = scene.camera(CameraOptions(die_mm=DIE_MM * cells / CELLS, object_distance_m=1.0), given)
-    plan = replace(make_render_plan(scene, camera, PIXEL, **options), tiling=TILING)
+    plan = make_render_plan(scene, camera, PIXEL, **options)
+    plan = replace(plan, film=replace(plan.film, tiling=TILING))
     return render(scene, camera, plan=plan), camera, plan
 
 
@@ -94,7 +95,7 @@ def test_border_is_that_of_a_larger_picture(tmp_path: Path, more: str) -> None:
     """Blurred with all that lies beyond it, the larger picture is brute force for the smaller one, up to its border."""
     scene, physics = scene_beyond(tmp_path, 0.1, more, spp=64), derive(PIXEL)
     image, camera, plan = seen(scene, CELLS, exact=not more)
-    assert (plan.chart is None) == bool(more)
+    assert (plan.film.chart is None) == bool(more)
     larger, wide, _ = seen(scene, LARGER, exact=not more)
     assert image.shape == (CELLS, CELLS)
     assert image.margin >= TILING.cells(image.pitch_um)[1] // 2
@@ -119,10 +120,10 @@ def ring(rate: Array, cells: int = 6) -> Array:
 def border_rates(scene: Scene) -> tuple[Array, float, float]:
     """Rates near the border from texels, and rms noise and rms error of those of sampled pictures, over the contrast."""
     image, camera, plan = seen(scene, CELLS, exact=True)
-    assert plan.exact
+    assert plan.samples.exact
     assert image.margin == 12  # the reach of 21 cells, in blocks of 4
     exact, physics = diffracted_rate(image, camera, derive(PIXEL)), derive(PIXEL)
-    plan = replace(plan, exact=False, spp=256)
+    plan = replace(plan, samples=replace(plan.samples, exact=False, spp=256))
     one, other = (
         diffracted_rate(render(scene.with_resolution(CELLS), camera, seed, plan=plan), camera, physics) for seed in (0, 1)
     )
@@ -140,7 +141,7 @@ def test_a_chart_that_ends_with_the_film_goes_on_as_its_mirror_image() -> None:
     assert error == pytest.approx(noise, rel=0.15)  # 1000 cells
     camera = seen(scene, CELLS)[1]
     for options in ({}, {"exact": True}, {"full": True}):
-        assert make_render_plan(scene, camera, PIXEL, **options).ends == (True, True)
+        assert make_render_plan(scene, camera, PIXEL, **options).film.ends == (True, True)
     image, camera, _ = seen(load_scene("flat"), CELLS, exact=True)
     even = diffracted_rate(image, camera, derive(PIXEL))[CELLS // 2]
     assert even[:3].mean() / even[8:11].mean() == pytest.approx(1, abs=0.02)  # the fall-off of the lens
@@ -150,7 +151,7 @@ def test_a_chart_that_ends_with_the_film_goes_on_as_its_mirror_image() -> None:
 def test_a_chart_that_ends_beyond_the_film_is_black_there(tmp_path: Path) -> None:
     """By texels as by samples, where its rectangle ends in a render with a margin."""
     endless, camera, plan = seen(scene_beyond(tmp_path, 0.1), CELLS, exact=True)
-    assert plan.ends == (False, False)
+    assert plan.film.ends == (False, False)
     far = diffracted_rate(endless, camera, derive(PIXEL))
     half_m = camera.die_mm / (2 * camera.image_distance_mm)  # of the view at 1 m
     exact, noise, error = border_rates(scene_beyond(tmp_path, 1.1 * half_m))
@@ -176,16 +177,16 @@ def test_sides_at_which_a_scene_ends_are_found_one_by_one(tmp_path: Path) -> Non
     scene = load_scene("slanted_edge", resolution=CELLS)  # its chart is a square
     lens = LensOptions(file="singlet", focal_length_mm=12.0)
     ends = [
-        make_render_plan(scene, scene.camera(CameraOptions(die_mm=DIE_MM, die_height_mm=height), lens), PIXEL).ends
+        make_render_plan(scene, scene.camera(CameraOptions(die_mm=DIE_MM, die_height_mm=height), lens), PIXEL).film.ends
         for height in (None, 0.32)
     ]
     assert ends == [(True, True), (False, True)]
     camera = scene.camera(CameraOptions(die_mm=DIE_MM), lens)
     thin = make_render_plan(scene, scene.camera(), PIXEL)
-    assert thin.margin((CELLS, CELLS), 10.0) == 0
+    assert thin.film.margin((CELLS, CELLS), 10.0) == 0
     beyond = make_render_plan(scene_beyond(tmp_path, 0.1, BALL).with_resolution(CELLS), camera, PIXEL)
-    assert beyond.ends == (False, False)
-    assert beyond.margin((16, 16), 10.0) == 8  # no more than half of the picture
+    assert beyond.film.ends == (False, False)
+    assert beyond.film.margin((16, 16), 10.0) == 8  # no more than half of the picture
     assert traced_lens(camera.lens, 1.0).prescription.name  # type: ignore[arg-type]
 
 

@@ -66,7 +66,8 @@ def test_lines_have_the_electrons_of_the_closed_form(at_nm: float, tmp_path: Pat
     plan, image = rendered(tmp_path, lamp(line))
     nm = np.linspace(at_nm - 1, at_nm + 1, 4001)
     assert ideal_rate(image, derive(FLAT))[4, 4] == pytest.approx(electrons(nm, 1 - np.abs(nm - at_nm), image), rel=1e-4)
-    assert (plan.bands.edges_nm[0], plan.bands.edges_nm[-1]) == (300 if at_nm < 360 else 360, 1100 if at_nm + 1 > 830 else 830)
+    edges_nm = plan.light.bands.edges_nm
+    assert (edges_nm[0], edges_nm[-1]) == (300 if at_nm < 360 else 360, 1100 if at_nm + 1 > 830 else 830)
 
 
 def test_black_body_has_no_step_at_830_nm(tmp_path: Path) -> None:

@@ -93,10 +93,10 @@ def test_plan_states_the_tiles_and_their_error(singlet) -> None:
     assert decision.kept
     assert "'singlet' at" in decision.reason
     assert "tiles across with PSFs of" in decision.reason
-    assert 0 < plan.tiling.cut_error <= plan.tiling.error < 1
-    assert 0 <= plan.tiling.lacking < 0.1
-    assert f"which lack up to {percent(plan.tiling.lacking, 1)} of the light" in decision.reason
-    assert image.header[LENS_HEADER]["error"] == plan.tiling.error
+    assert 0 < plan.film.tiling.cut_error <= plan.film.tiling.error < 1
+    assert 0 <= plan.film.tiling.lacking < 0.1
+    assert f"which lack up to {percent(plan.film.tiling.lacking, 1)} of the light" in decision.reason
+    assert image.header[LENS_HEADER]["error"] == plan.film.tiling.error
     assert image.header[RINGS]  # so that what the distortion's spline rings below zero is no error
     assert Camera(**image.header["camera"]) == camera
 
@@ -106,7 +106,7 @@ def test_films_with_two_samples_across_a_photodiode_have_one_tiling() -> None:
     scene, camera = through("cooke_triplet", 0.5, 64)
     camera = camera.model_copy(update={"die_mm": 0.1, "die_height_mm": 0.1})
     films = [scene.with_resolution(across) for across in (64, 128, 256)]
-    first, finer, finest = (make_render_plan(film, camera, PIXEL, tolerance_e=3e-3).tiling for film in films)
+    first, finer, finest = (make_render_plan(film, camera, PIXEL, tolerance_e=3e-3).film.tiling for film in films)
     aperture_um = derive(PIXEL).aperture_side_um
     assert aperture_um / 2 >= 100 / 64
     assert first == finer == finest
@@ -120,8 +120,8 @@ def test_light_that_does_not_fit_a_film_cell_or_a_psf_is_told() -> None:
     """Rays of a singlet at f/5 and 96 mm miss by half a millimetre: more than cells of 250 µm, on which no waves are followed."""
     scene, camera = through("singlet", 24.0, 96, "flat", refocus="paraxial")
     plan = make_render_plan(scene, camera, PIXEL)
-    assert plan.tiling.psf_um == 0
-    assert plan.tiling.error > 0.5
+    assert plan.film.tiling.psf_um == 0
+    assert plan.film.tiling.error > 0.5
     lens = traced_lens(camera.lens, camera.object_distance_m)
     y, x = np.indices((41, 41)) / 20 - 1
     inside = np.hypot(x, y) <= 1
@@ -130,11 +130,11 @@ def test_light_that_does_not_fit_a_film_cell_or_a_psf_is_told() -> None:
     field = lens.field_of_height(0.97 * math.hypot(12, 12), lens.primary_nm)
     waves = lens.wavefront(np.array([field]), np.array([nm]), x[inside], y[inside])
     outside = np.maximum(np.abs(waves.x_mm[0]), np.abs(waves.y_mm[0])) > 0.125
-    assert plan.tiling.lacking == pytest.approx(outside.mean(), abs=0.1)
+    assert plan.film.tiling.lacking == pytest.approx(outside.mean(), abs=0.1)
     (told,) = [note for note in plan.warnings if "the film is too coarse" in note]
-    assert f"up to {percent(plan.tiling.error, 1)} of the picture's contrast" in told
+    assert f"up to {percent(plan.film.tiling.error, 1)} of the picture's contrast" in told
     assert "Take a finer film" in told
-    cut = replace(plan.tiling, psf_um=445.0, error=0.1, cut_error=0.09, lacking=0.5)
+    cut = replace(plan.film.tiling, psf_um=445.0, error=0.1, cut_error=0.09, lacking=0.5)
     (told,) = [note for note in real_lens_warnings(camera, cut, [], 1e-3) if "blur" in note]
     assert (
         "up to 10.0 % of the picture's contrast, above 1.0 %: its PSFs of 445 µm lack up to 50.0 % of the light, which makes 9.0 %"
@@ -214,7 +214,8 @@ def test_thin_real_lens_has_the_absolute_irradiance_of_foote_times_its_transmitt
     file.write_text(THIN, encoding="utf-8")
     scene = load_scene("flat", resolution=33, luminance_cd_per_m2=1000)
     camera = scene.camera(CameraOptions(die_mm=5.2, transmittance=0.8), LensOptions(file=str(file), focal_length_mm=10.0))
-    plan = replace(make_render_plan(scene, camera, PIXEL, exact=True), tiling=Tiling(2000.0, 0.0, 0.0))
+    plan = make_render_plan(scene, camera, PIXEL, exact=True)
+    plan = replace(plan, film=replace(plan.film, tiling=Tiling(2000.0, 0.0, 0.0)))
     image = render(scene, camera, plan=plan)
     y, x = (np.indices(image.shape) - 16) * 5.2 / 33
     tangent = np.hypot(x, y) / camera.image_distance_mm
@@ -260,7 +261,7 @@ def test_camera_stands_in_the_entrance_pupil() -> None:
 def test_plans_without_a_real_lens_say_nothing_of_it() -> None:
     scene = load_scene("csf", resolution=32)
     plan = make_render_plan(scene, scene.camera(), PIXEL)
-    assert plan.tiling is None
+    assert plan.film.tiling is None
     assert "real lens" not in [decision.subject for decision in plan.decisions]
 
 
@@ -312,17 +313,17 @@ def test_plan_says_by_how_much_defocus_is_wrong_in_scenes_with_depth(
     camera = scene.camera(CameraOptions(die_mm=4.8), LensOptions(file=lens))
     plan = make_render_plan(scene, camera, PIXEL)
     (decision,) = [decision for decision in plan.decisions if decision.subject == "defocus of the lens"]
-    worst = plan.defocus[0]
+    worst = plan.film.defocus[0]
     assert decision.reason.startswith("out of focus, a thin lens's discs")
     assert f"{percent(worst.error, 1)} of the contrast" in decision.reason
     physics = derive(PIXEL)
     weight = photons_per_joule(SEEN_NM) * physics.quantum_efficiency(SEEN_NM)
-    for found in plan.defocus:  # the depths of the scene, and the errors of traces there
+    for found in plan.film.defocus:  # the depths of the scene, and the errors of traces there
         assert near_m - 0.000201 < found.depth_m < far_m * (1 + 1e-6)
         assert abs(signed_disc_um(camera, found.depth_m)) == pytest.approx(found.disc_um)
         traced = defocus_error(camera, found.depth_m, tuple(SEEN_NM), tuple(weight), physics.aperture_side_um)
         assert traced == pytest.approx(found.error, rel=1e-3)
-    depths = [found.depth_m for found in plan.defocus]
+    depths = [found.depth_m for found in plan.film.defocus]
     farthest = min(far_m, depth_of_disc_m(camera, largest_disc_um(camera, SEEN_NM[0])))
     assert (min(depths), max(depths)) == pytest.approx((near_m - 0.0002, farthest), rel=1e-6)
     assert plan.as_dict()["defocus"][0] == {"depth_m": worst.depth_m, "disc_um": worst.disc_um, "error": worst.error}

@@ -206,7 +206,7 @@ def test_render_chart_one_pass_gives_all_bands():
     # A quarter of a million samples each; from 8 seeds the noise of a band's mean is 4e-6.
     assert np.abs(ratio - 1).max() < 1e-4
     noise = (full.data - other.data).reshape(-1, full.data.shape[2]).astype(float) / full.data.mean(axis=(0, 1), dtype=float)
-    passes = make_render_plan(scene, full=True).lights[0].fit.passes
+    passes = make_render_plan(scene, full=True).light.lamps[0].fit.passes
     assert np.corrcoef(noise[:, passes[4][0]], noise[:, passes[4][1]])[0, 1] > 0.9  # of one pass: the same rays
     # Passes share out a film cell, so that their mean has less noise than that of as many independent passes, whose ratio here
     # would be 1 ± 0.05; one pass for all bands would give √12. Three other pairs of seeds gave 0.326 to 0.333.
@@ -390,7 +390,7 @@ def test_render_two_lamp_spectra_add(tmp_path):
     </emitter>"""
     path = plane_scene(tmp_path, SKY + sun, '<integrator type="path"><integer name="max_depth" value="2"/></integrator>', 256)
     scene = pixsim.load_scene(path)
-    assert len(make_render_plan(scene).lights) == 2
+    assert len(make_render_plan(scene).light.lamps) == 2
     image = pixsim.render(scene)
     nm = image.wavelength_nm
     light = d65_radiance(nm, 0.01 * D65_LUMINANCE) + 0.01 * (nm - 360) * 0.8 / np.pi
@@ -412,7 +412,7 @@ def test_render_fitted_and_coloured_lamps_add(tmp_path):
         edited(tmp_path, "macbeth", (END, sky)), lamp="spectra/fl11.spd", resolution=32, variant="scalar_spectral"
     )
     plan = make_render_plan(scene)
-    assert [bool(light.fit.spectra.min() < 0) for light in plan.lights] == [True, False]
+    assert [bool(light.fit.spectra.min() < 0) for light in plan.light.lamps] == [True, False]
     image = pixsim.render(scene, plan=plan)
     assert image.data.min() < 0 <= image.factors[1].min()
     pixsim.write_exr(tmp_path / "image.exr", image)
@@ -478,7 +478,7 @@ def test_renderer_image_memory_is_bounded(large):
     assert most < 1.2 * image.factors[1].nbytes + TEXTURE_BYTES
     small = large.source.with_parameters(resolution=256)
     full = Renderer(small, large.camera, make_render_plan(small, full=True), 0)
-    pulses = [np.full((256, 256, len(light.fit.pulses)), 0.5, np.float32) for light in full.plan.lights]
+    pulses = [np.full((256, 256, len(light.fit.pulses)), 0.5, np.float32) for light in full.plan.light.lamps]
     image, most = traced(lambda: full.image(pulses, 4))
     assert most < 1.1 * image.data.nbytes + TEXTURE_BYTES
 

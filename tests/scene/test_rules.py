@@ -52,42 +52,42 @@ def moved_chart(transform: str) -> tuple[str, str]:
 def test_lone_chart_is_recognised():
     plan = render_plan("slanted_edge")
     assert left_out(plan) == RULES - {"diffraction"}
-    assert plan.integrator == {"type": "path", "max_depth": 1}
-    assert (plan.lens, plan.passes, plan.full_passes) == ("perspective", 1, 12)
-    assert plan.spp < plan.full_spp == 16
-    assert plan.bands.width_nm.size == 48
+    assert plan.samples.integrator == {"type": "path", "max_depth": 1}
+    assert (plan.samples.lens, plan.light.passes, plan.light.full_passes) == ("perspective", 1, 12)
+    assert plan.samples.spp < plan.samples.full_spp == 16
+    assert plan.light.bands.width_nm.size == 48
 
 
 def test_plan_uniform_chart_leaves_out_diffraction():
     plan = make_plan(load("flat"))
     assert left_out(plan) >= RULES | {"oversampling"}
-    assert (plan.resolution, plan.spp, plan.diffraction) == (64, 4, False)
+    assert (plan.film.resolution, plan.samples.spp, plan.film.diffraction) == (64, 4, False)
 
 
 def test_decide_bounces_parallel_boards_need_one():
     for name in ("macbeth", "line_lamp"):
         plan = render_plan(name)
         assert left_out(plan) == {"spectral rank", "spectrum tables", "bounces", "lens samples"}
-        assert plan.integrator == {"type": "direct"}
+        assert plan.samples.integrator == {"type": "direct"}
 
 
 def test_decide_bounces_disk_equals_rectangle(tmp_path):
     plan = render_plan(edited(tmp_path, "flat", ('type="rectangle"', 'type="disk"')))
     assert left_out(plan) == {"spectral rank", "bounces", "lens samples"}  # but a disc does not fill the film
-    assert plan.chart is None
+    assert plan.film.chart is None
 
 
 def test_decide_bounces_depth_2_is_direct(tmp_path):
     ball = shape("sphere", '<scale value="0.02"/><translate z="0.8"/>', '<bsdf type="roughconductor"/>')
     for depth, integrator in ((DEPTH, {"type": "direct"}), (DEPTH.replace("2", "3"), None)):
         plan = render_plan(edited(tmp_path, "macbeth", (PATH, f'<integrator type="path">{depth}</integrator>'), ball))
-        assert plan.integrator == integrator
+        assert plan.samples.integrator == integrator
 
 
 def test_plan_equal_lamp_spectra_are_one_light(tmp_path):
     second = '<emitter type="point"><point name="position" x="0" y="1" z="0"/><spectrum name="intensity" filename="{}"/></emitter>'
     for lamp, lights in (("$lamp", 1), ("spectra/a.spd", 2)):
-        assert len(render_plan(edited(tmp_path, "macbeth", (END, second.format(lamp)))).lights) == lights
+        assert len(render_plan(edited(tmp_path, "macbeth", (END, second.format(lamp)))).light.lamps) == lights
 
 
 # --- Rules that do not apply ---
@@ -159,19 +159,20 @@ def test_plan_rules_do_not_apply(name, folder):
     before, plan = packaged_plan(scene), render_plan(edited(folder, scene, *edits))
     assert not left_out(plan) & stored
     assert stored - {"texture samples"} <= left_out(before) | {"diffraction"}, "the edit makes no difference"
-    done = {"lens samples": plan.lens == "thinlens", "bounces": plan.integrator is None, "diffraction": plan.diffraction}
-    done |= {"spectral rank": plan.passes == plan.full_passes, "texture samples": plan.spp * plan.passes >= plan.full_spp}
+    light, samples = plan.light, plan.samples
+    done = {"lens samples": samples.lens == "thinlens", "bounces": samples.integrator is None, "diffraction": plan.film.diffraction}
+    done |= {"spectral rank": light.passes == light.full_passes, "texture samples": samples.spp * light.passes >= samples.full_spp}
     assert [rule for rule in stored if not done[rule]] == []
     if scene == "flat" and "diffraction" in stored:
-        assert make_plan(load(folder / "flat.xml")).resolution is None
+        assert make_plan(load(folder / "flat.xml")).film.resolution is None
 
 
 def test_plan_coloured_lamp_keeps_all_bands(folder):
     scene = load(edited(folder, "csf", (RAW, ""), ('value="charts/csf.exr"', 'value="coloured.exr"')), resolution=16)
     plan = make_render_plan(scene)
     assert "spectral rank" not in left_out(plan)
-    assert plan.passes == plan.full_passes == 12
-    assert plan.lights[0].lamp.spectrum is None
+    assert plan.light.passes == plan.light.full_passes == 12
+    assert plan.light.lamps[0].lamp.spectrum is None
     image = pixsim.render(scene)
     left, right = (image.data[4:12, where].mean(axis=(0, 1), dtype=float) for where in (slice(1, 6), slice(10, 15)))
     nm = image.wavelength_nm
@@ -183,58 +184,59 @@ def test_plan_coloured_lamp_keeps_all_bands(folder):
 def test_plan_projector_slide_is_separate_light(folder):
     scene, edits, _ = KEPT["a spot with a coloured slide"]
     plan = render_plan(edited(folder, scene, *edits))
-    assert [light.lamp.spectrum is None for light in plan.lights] == [False, True]
-    assert len(plan.lights[1].fit.pulses) == plan.bands.width_nm.size
+    assert [light.lamp.spectrum is None for light in plan.light.lamps] == [False, True]
+    assert len(plan.light.lamps[1].fit.pulses) == plan.light.bands.width_nm.size
 
 
 @pytest.mark.parametrize("plugin", ["volpath", "direct", "volpathmis"])
 def test_decide_bounces_other_integrator_stays(plugin, tmp_path):
     plan = render_plan(edited(tmp_path, "macbeth", (PATH, f'<integrator type="{plugin}"/>')))
     assert "bounces" not in left_out(plan)
-    assert plan.integrator is None
+    assert plan.samples.integrator is None
     assert f"'{plugin}'" in decision(plan, "bounces").reason
 
 
 @pytest.mark.parametrize(("depth", "integrator"), [(0, None), (1, None), (-1, {"type": "path", "max_depth": 1})])
 def test_decide_bounces_minimal_depth_stays(depth, integrator, tmp_path):
-    assert render_plan(edited(tmp_path, "csf", (DEPTH, DEPTH.replace("2", str(depth))))).integrator == integrator
+    assert render_plan(edited(tmp_path, "csf", (DEPTH, DEPTH.replace("2", str(depth))))).samples.integrator == integrator
 
 
 def test_decide_bounces_hidden_emitters_stay_hidden(tmp_path):
     hidden = (DEPTH, f'{DEPTH}<boolean name="hide_emitters" value="true"/>')
     path = edited(tmp_path, "csf", hidden)
-    assert render_plan(path).integrator == {"type": "path", "max_depth": 1, "hide_emitters": True}
+    assert render_plan(path).samples.integrator == {"type": "path", "max_depth": 1, "hide_emitters": True}
     with pytest.raises(PixsimError, match="hide_emitters"):
         pixsim.render(load(path, resolution=8))
 
 
 def test_plan_user_parameters_stay():
     plan = render_plan("slanted_edge", spp=9)
-    assert (plan.spp, plan.full_spp) == (9, 9)
+    assert (plan.samples.spp, plan.samples.full_spp) == (9, 9)
     assert "texture samples" not in left_out(plan)
-    assert make_plan(load("flat", resolution=128)).resolution is None
+    assert make_plan(load("flat", resolution=128)).film.resolution is None
     assert "oversampling" not in left_out(make_plan(load("flat", resolution=128)))
-    assert make_plan(load("flat", spp=4)).resolution == 64
+    assert make_plan(load("flat", spp=4)).film.resolution == 64
 
 
 @pytest.mark.parametrize("name", ["csf", "flat", "macbeth", "still_life"])
 def test_plan_full_leaves_out_nothing(name):
     plan = make_plan(load(name), full=True)
     assert left_out(plan) == set()
-    assert (plan.lens, plan.integrator, plan.resolution, plan.diffraction) == ("thinlens", None, None, True)
-    assert (plan.spp, plan.passes) == (plan.full_spp, plan.full_passes)
-    assert not plan.factored
+    assert (plan.samples.lens, plan.samples.integrator) == ("thinlens", None)
+    assert (plan.film.resolution, plan.film.diffraction) == (None, True)
+    assert (plan.samples.spp, plan.light.passes) == (plan.samples.full_spp, plan.light.full_passes)
+    assert not plan.light.factored
 
 
 def test_decide_samples_passes_share_samples():
     """With 4 samples multijitter correlates the dimensions of a path: the still life is 0.8 % too dark, 10 standard errors."""
     plan = render_plan("still_life")
-    assert plan.passes > 4
-    assert (plan.spp, plan.full_spp) == (16, 64)
-    assert render_plan("still_life", spp=8).spp == 8
+    assert plan.light.passes > 4
+    assert (plan.samples.spp, plan.samples.full_spp) == (16, 64)
+    assert render_plan("still_life", spp=8).samples.spp == 8
     many = make_render_plan(load("still_life"), tolerance_e=1e-4)
-    assert many.passes > 16
-    assert many.spp == 16
+    assert many.light.passes > 16
+    assert many.samples.spp == 16
 
 
 # --- Focus ---
@@ -251,7 +253,7 @@ def test_decide_lens_blur_limit_scales_with_photodiode(tmp_path):
         assert blur_um(camera, depth_m) == pytest.approx(times * most_um, rel=1e-9)
         scene = load(edited(tmp_path, "csf", moved_chart(f'<translate z="{depth_m!r}"/>'), bigger(1.1)))
         plan = make_render_plan(scene, pixel=pixel)
-        assert plan.lens == lens
+        assert plan.samples.lens == lens
         bound = times * rules.BLUR_SHARE * rules.TOLERANCE_E if lens == "perspective" else 0.0
         assert decision(plan, "lens samples").bound_e == pytest.approx(bound, rel=1e-6)
 
@@ -280,7 +282,7 @@ def test_render_unfocused_chart_is_blurred_by_disc(tmp_path):
         scene = load(path, chart=str(tmp_path / "sine.exr"), resolution=32, spp=64)
         image = pixsim.render(scene, camera)
         row = (image.illuminance_lx() / lens_sr(image, camera)).mean(axis=0)[8:24]
-        assert (make_render_plan(scene, camera).lens == "thinlens") == (depth != 0.1)
+        assert (make_render_plan(scene, camera).samples.lens == "thinlens") == (depth != 0.1)
         x = 2 * np.pi * cycles * (np.arange(8, 24) + 0.5) / 32
         mean, sine, cosine = np.linalg.lstsq(np.stack([np.ones(16), np.sin(x), np.cos(x)], axis=1), row, rcond=None)[0]
         result[depth] = np.hypot(sine, cosine) / mean
@@ -307,10 +309,10 @@ def test_lone_chart_coloured_picture_is_not_uniform(picture, tmp_path):
     text = (FOLDER / "flat.xml").read_text(encoding="utf-8")
     emitter = text[text.index('<texture type="d65"') : text.index("</emitter>")]
     plan = make_plan(load(edited(tmp_path, "flat", (emitter, TEXTURED.format(picture, inside)))))
-    assert plan.chart is None
-    assert plan.diffraction
-    assert plan.resolution is None
-    assert plan.spp == 16
+    assert plan.film.chart is None
+    assert plan.film.diffraction
+    assert plan.film.resolution is None
+    assert plan.samples.spp == 16
 
 
 def test_plan_dark_lamp_is_ignored(tmp_path):
@@ -384,8 +386,8 @@ def test_plan_unknown_contents_state_reason(tmp_path):
 def test_decide_samples_paths_have_minimum(tmp_path):
     """With 4 samples, Mitsuba's default, multijitter makes paths up to 1 % too dark."""
     few = edited(tmp_path, "still_life", ('<default name="spp" value="64"/>', '<default name="spp" value="4"/>'))
-    assert render_plan(few).spp == 16
-    assert render_plan(few, spp=4).spp == 4  # asked for
+    assert render_plan(few).samples.spp == 16
+    assert render_plan(few, spp=4).samples.spp == 4  # asked for
 
 
 SIZE = 128
@@ -444,7 +446,7 @@ def test_exact_cells_equal_render(flip, mirrored, wrap_mode, filter_type, tmp_pa
     camera = pixsim.Camera(die_mm=2.7136, die_height_mm=1.9)
     exact = make_plan(scene, camera, display=pixsim.Display())
     sampled = make_plan(scene.with_parameters(spp=1024), camera)
-    assert (exact.exact, sampled.exact) == (True, False)
+    assert (exact.samples.exact, sampled.samples.exact) == (True, False)
     one, other = (pixsim.render(scene, camera, plan=plan).illuminance_lx() for plan in (exact, sampled))
     assert one.shape == other.shape == (29, 40)
     np.testing.assert_allclose(one, other, rtol=NOISE[filter_type])
@@ -455,14 +457,14 @@ def test_exact_cells_only_where_they_are_exact(tmp_path):
     display, camera = pixsim.Display(), pixsim.Camera()
     scene = load("csf").with_resolution(64)
     plan = make_plan(scene, camera, display=display)
-    assert plan.exact
+    assert plan.samples.exact
     assert any("exact mean" in decision.reason for decision in plan.decisions)
-    assert not make_plan(load("csf", spp=4).with_resolution(64), camera, display=display).exact
-    assert not make_plan(scene, camera, display=display, full=True).exact
-    assert not make_plan(load("still_life").with_resolution(64), camera, display=display).exact
-    assert not make_plan(load("csf", focus_distance=2).with_resolution(64), camera, display=display).exact
+    assert not make_plan(load("csf", spp=4).with_resolution(64), camera, display=display).samples.exact
+    assert not make_plan(scene, camera, display=display, full=True).samples.exact
+    assert not make_plan(load("still_life").with_resolution(64), camera, display=display).samples.exact
+    assert not make_plan(load("csf", focus_distance=2).with_resolution(64), camera, display=display).samples.exact
     path = edited(tmp_path, "csf", ('name="max_depth" value="2"', 'name="max_depth" value="0"'))
-    assert not make_plan(pixsim.load_scene(path).with_resolution(64), camera, display=display).exact
+    assert not make_plan(pixsim.load_scene(path).with_resolution(64), camera, display=display).samples.exact
 
 
 def test_samples_needed_uniform_chart_is_minimum():
@@ -501,7 +503,7 @@ def measured_error(name: str, spp: int) -> float:
 @pytest.mark.parametrize("spp", [pytest.param(4, marks=pytest.mark.slow), 16])
 @pytest.mark.parametrize("name", ["csf", pytest.param("slanted_edge", marks=pytest.mark.slow)])  # the edge takes 48 seeds
 def test_sampling_error_matches_render(name, spp):
-    chart, result = render_plan(name, resolution=SIZE).chart, measured_error(name, spp)
+    chart, result = render_plan(name, resolution=SIZE).film.chart, measured_error(name, spp)
     foretold = [rules.sampling_error(chart, spp, seed) for seed in range(16 if name == "csf" else 48)]
     # Most of the error is in few cells, of which 1024 are tried: one seed scatters by 12 % (the finest lines) to 40 % (the
     # edge, which 8 of the tried cells meet), all by 3 to 6 %, and the render's by 6 %; 10 % are the model's.
@@ -511,7 +513,7 @@ def test_sampling_error_matches_render(name, spp):
 
 
 def test_samples_needed_grow_with_lower_tolerance():
-    chart = render_plan("csf", resolution=SIZE).chart
+    chart = render_plan("csf", resolution=SIZE).film.chart
     counts = [rules.samples_needed(chart, tolerance, 1024) for tolerance in (1.0, 1e-2, 1e-3)]
     assert [count for count, _ in counts] == sorted({count for count, _ in counts})
     for (count, error), tolerance in zip(counts, (1.0, 1e-2, 1e-3), strict=True):
@@ -567,7 +569,7 @@ def test_decide_diffraction_soft_chart_is_left_out(tmp_path: Path):
         wave = 0.5 + 0.03 * np.cos(np.pi * half_periods * (np.arange(1024) + 0.5) / 1024)
         pixsim.write_chart(tmp_path / "soft.exr", np.tile(wave.astype(np.float32), (2, 1)))
         plan = render_plan("csf", chart=str(tmp_path / "soft.exr"), resolution=128)
-        assert plan.diffraction == stored
+        assert plan.film.diffraction == stored
     cutoff = optics.cutoff_cy_per_mm(830.0, pixsim.Camera().effective_f_number)
     assert 4 / np.pi * 0.03 / 0.47 / (2 * 2.7136) / cutoff < 1e-4  # by the OTF's slope at 0, 4/π over the cut-off
 
@@ -603,11 +605,11 @@ def test_decide_samples_finer_film_shares_samples_of_chart():
     """The samples on the die stay those of the scene, down to two for each cell, which stratify it."""
     scene = load("csf")
     own = render_plan("csf")
-    for width, spp in ((1024, own.spp), (2048, 4), (8192, 2)):
+    for width, spp in ((1024, own.samples.spp), (2048, 4), (8192, 2)):
         plan = make_render_plan(scene.with_resolution(width))
-        assert (plan.spp, plan.sampler) == (spp, "multijitter"), width
-    assert make_render_plan(load("csf", spp=16).with_resolution(4096)).spp == 16  # asked for
-    assert make_render_plan(scene.with_resolution(4096), full=True).spp == 16
+        assert (plan.samples.spp, plan.samples.sampler) == (spp, "multijitter"), width
+    assert make_render_plan(load("csf", spp=16).with_resolution(4096)).samples.spp == 16  # asked for
+    assert make_render_plan(scene.with_resolution(4096), full=True).samples.spp == 16
 
 
 def test_decide_samples_finer_film_of_paths_is_independent():
@@ -615,7 +617,7 @@ def test_decide_samples_finer_film_of_paths_is_independent():
     scene = load("still_life")
     for width, spp, sampler in ((512, 16, "multijitter"), (1024, 4, "independent"), (4096, 4, "independent")):
         plan = make_render_plan(scene.with_resolution(width))
-        assert (plan.spp, plan.sampler) == (spp, sampler), width
+        assert (plan.samples.spp, plan.samples.sampler) == (spp, sampler), width
 
 
 def test_make_plan_film_of_paths_stays_within_samples():
@@ -624,8 +626,8 @@ def test_make_plan_film_of_paths_stays_within_samples():
     for height_mm in (5.0, 10.0):
         camera = pixsim.Camera(die_mm=10.0, die_height_mm=height_mm)
         plan = make_plan(load("still_life"), camera, pixel, display=display)
-        assert plan.resolution is not None
-        samples = 2 * plan.resolution**2 * height_mm / 10 * plan.spp * plan.passes
+        assert plan.film.resolution is not None
+        samples = 2 * plan.film.resolution**2 * height_mm / 10 * plan.samples.spp * plan.light.passes
         # A film may be narrower by an eighth to end where the die ends: (8/9)² = 0.79, and its width a multiple of four.
         assert 0.78 * PATH_SAMPLES < samples <= 1.01 * PATH_SAMPLES
 
@@ -636,7 +638,7 @@ def test_render_independent_few_samples_are_unbiased():
     scene = load("still_life", resolution=96)
     finer = scene.with_resolution(192)
     plan, strata = make_render_plan(finer), make_render_plan(scene)
-    assert (plan.spp, plan.sampler, strata.sampler) == (4, "independent", "multijitter")
+    assert (plan.samples.spp, plan.samples.sampler, strata.samples.sampler) == (4, "independent", "multijitter")
     few = pixsim.render(finer, plan=plan).illuminance_lx().mean()
-    many = pixsim.render(scene, plan=replace(strata, spp=25), seed=1).illuminance_lx().mean()
+    many = pixsim.render(scene, plan=replace(strata, samples=replace(strata.samples, spp=25)), seed=1).illuminance_lx().mean()
     assert few == pytest.approx(many, rel=4e-3)

@@ -138,10 +138,10 @@ def test_lux_that_is_no_illuminance(value: str) -> None:
         load("macbeth", lux=value)
 
 
-def test_lux_of_a_scene_that_states_none_says_what_to_write(tmp_path: Path) -> None:
+def test_lux_of_a_scene_that_states_none_is_refused(tmp_path: Path) -> None:
     lamp = '<emitter type="envmap"><string name="filename" value="sky.exr"/></emitter>'
     path = write_scene(tmp_path, sensor_xml())
-    with pytest.raises(PixsimError, match=r"'scene\.xml' states no illuminance; allowed: .*<default name=\"lux\".* lux='500' then"):
+    with pytest.raises(PixsimError, match="scene parameter: got 'lux'; allowed: "):
         load(path, lux=500)
     write_channels(tmp_path / "sky.exr", {name: np.ones((4, 8), np.float32) for name in "RGB"}, {})
     path = write_scene(tmp_path, '<default name="lux" value="1000"/>', sensor_xml(), lamp)
@@ -496,7 +496,7 @@ def test_lamps_that_are_no_white_are_refused(tmp_path: Path, names: str, words: 
 
 
 def test_white_lamps_need_their_default(tmp_path: Path) -> None:
-    with pytest.raises(PixsimError, match=r"white_lamps.*no such <default>"):
+    with pytest.raises(PixsimError, match="scene parameter: got 'white_lamps'; allowed: "):
         load("macbeth", white_lamps="lamp")
 
 
@@ -516,7 +516,7 @@ def test_load_scene_luminance_not_positive_raises(value):
 
 def test_load_scene_luminance_without_emitter_scale_raises(tmp_path):
     path = write_scene(tmp_path, sensor_xml(), area(d65_xml()))
-    with pytest.raises(PixsimError, match=r"has no parameter emitter_scale; allowed: scenes whose emitter has"):
+    with pytest.raises(PixsimError, match="scene parameter: got 'luminance_cd_per_m2'; allowed: "):
         load(path, luminance_cd_per_m2=100)
 
 

@@ -281,7 +281,7 @@ def test_materials_of_yard_say_what_they_are_to_1100_nm():
     pixel = Pixel(technology="4t-bsi", pitch_um=4.0)
     for lamp in ("led_850nm", "halogen", "sunlight"):
         plan = make_render_plan(pixsim.load_scene("yard", resolution=16, lamp=f"spectra/{lamp}.spd"), pixel=pixel)
-        assert plan.bands.edges_nm[-1] == 1100
+        assert plan.light.bands.edges_nm[-1] == 1100
         assert not [text for text in plan.warnings if "reflectance" in text]
 
 

@@ -25,7 +25,7 @@ AREA = {"disc": math.pi / 4, "bar": 5.0}  # of a size of 1
 def light(scene: Scene, camera: pixsim.Camera = CAMERA) -> np.ndarray:
     """Illuminance of the film's cells, (H, W) lx."""
     plan = make_render_plan(scene, camera, exact=True)
-    assert plan.exact
+    assert plan.samples.exact
     return pixsim.render(scene, camera, plan=plan).illuminance_lx().astype(float)
 
 
@@ -138,8 +138,9 @@ def test_target_is_round_on_any_die():
 def test_film_has_samples_for_target_of_any_size():
     """The steps at a target's ends have all frequencies: the film is that of the pixel and the display, however small it is."""
     camera, pixel = load("target").camera(), pixsim.Pixel(technology="4t-bsi", pitch_um=2.0)
-    chosen = [make_plan(load("target", size_um=size), camera, pixel, display=pixsim.Display()).resolution for size in (3.0, 300.0)]
-    csf = make_plan(load("csf", max_lp_per_mm=400), camera, pixel, display=pixsim.Display()).resolution
+    plans = [make_plan(load("target", size_um=size), camera, pixel, display=pixsim.Display()) for size in (3.0, 300.0)]
+    chosen = [plan.film.resolution for plan in plans]
+    csf = make_plan(load("csf", max_lp_per_mm=400), camera, pixel, display=pixsim.Display()).film.resolution
     assert chosen == [csf, csf]
 
 

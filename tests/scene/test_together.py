@@ -32,7 +32,8 @@ LARGE = 1000  # operations of a kernel: a path takes 1700 here and more, what su
 
 def job_of(scene: Path | str, seed: int = 0, spp: int = 4, **parameters: Any) -> Renderer:
     loaded = pixsim.load_scene(scene, variant=LLVM, resolution=SIDE, **parameters)
-    job = Renderer(loaded, loaded.camera(), replace(make_render_plan(loaded, pixel=pixsim.Pixel()), spp=spp), seed)
+    plan = make_render_plan(loaded, pixel=pixsim.Pixel())
+    job = Renderer(loaded, loaded.camera(), replace(plan, samples=replace(plan.samples, spp=spp)), seed)
     job.tracer = OwnTracer(job.job)  # a child has kernels of its own
     return job
 
@@ -66,8 +67,8 @@ def two_lights(tmp_path: Path) -> Path:
 
 def test_light_and_level_compile_one_large_kernel(import_first, two_lights):
     first = job_of(two_lights)
-    lights, levels, runs = len(first.plan.lights), 2, 2
-    assert (lights, first.plan.passes) == (2, 7)
+    lights, levels, runs = len(first.plan.light.lamps), 2, 2
+    assert (lights, first.plan.light.passes) == (2, 7)
     launched = large_kernels(first, runs, levels)
     assert len(launched) == lights * levels * runs, "one launch for all passes"
     assert len(set(launched)) == lights * levels
@@ -78,7 +79,7 @@ def test_strips_of_a_film_share_a_kernel(import_first, monkeypatch):
     whole = job_of("still_life")
     launched = large_kernels(whole, 1, 1)
     picture = whole.run(0)[0][0]
-    monkeypatch.setattr(renderer, "SAMPLES_TOGETHER", whole.plan.passes * 4 * SIDE * 3)
+    monkeypatch.setattr(renderer, "SAMPLES_TOGETHER", whole.plan.light.passes * 4 * SIDE * 3)
     strips = job_of("still_life")
     assert large_kernels(strips, 1, 1) == 3 * launched
     # Strips have seeds of their own, but the first has that of the whole.
@@ -166,10 +167,10 @@ def test_pictures_agree_with_those_of_single_passes(import_first, two_lights, sc
     """Means over independent runs: of each pulse, and of their sum in each quarter of the film."""
     scene = scene or two_lights
     together = job_of(scene, **parameters)
-    together.plan = replace(together.plan, spp=spp, sampler=sampler)
+    together.plan = replace(together.plan, samples=replace(together.plan.samples, spp=spp, sampler=sampler))
     single = job_of(scene, seed=1, **parameters)
     single.plan = together.plan
-    single.job = replace(single.job, passes=(None,) * len(single.plan.lights))
+    single.job = replace(single.job, passes=(None,) * len(single.plan.light.lamps))
     means = []
     for job in (together, single):
         runs = [np.concatenate([planes.astype(float) for planes in job.run(index)[0]], axis=2) for index in range(RUNS)]
@@ -203,8 +204,9 @@ def test_infrared_passes_are_traced_together(tmp_path: Path) -> None:
     )
     pixel = pixsim.Pixel(technology="4t-bsi", pitch_um=10.0, quantum_efficiency=[[300, 0.5], [1100, 0.5]], stack={"enabled": False})
     loaded = pixsim.load_scene(tmp_path / "wall.xml", variant=LLVM).with_resolution(SIDE)
-    plan = replace(make_render_plan(loaded, pixel=pixel, full=True), spp=256)
-    assert plan.passes > 1
+    plan = make_render_plan(loaded, pixel=pixel, full=True)
+    plan = replace(plan, samples=replace(plan.samples, spp=256))
+    assert plan.light.passes > 1
     image = pixsim.render(loaded, plan=plan)
     assert image.wavelength_nm[-1] > 1090
     spectrum, edges = image.mean_spectrum(), np.concatenate([[300.0], 300 + np.cumsum(image.band_width_nm)])

@@ -101,7 +101,7 @@ def look(variant: str) -> tuple[str, float]:
     scene = load_scene("csf", variant=variant).with_resolution(256)
     camera = scene.camera()
     plan = make_render_plan(scene, camera, pixsim.Pixel(pitch_um=20.0), exact=True)
-    assert plan.exact
+    assert plan.samples.exact
     image, _ = render_until(scene, camera, plan, [], Exposure())
     return scene.content_hash, float(image.data.mean())
 

@@ -92,7 +92,7 @@ def test_plan_names_the_plate_as_the_light_of_white() -> None:
     """As what is rendered by it does."""
     scene, camera = load_scene("macbeth", resolution=16), pixsim.Camera()
     plans = [make_render_plan(replace(scene, diffuser=diffuser), camera) for diffuser in (False, True)]
-    assert [plan.light_of_white for plan in plans] == ["the scene's lamp", white_light(render(scene, camera, diffuser=True))[1]]
+    assert [plan.light.white_name for plan in plans] == ["the scene's lamp", white_light(render(scene, camera, diffuser=True))[1]]
 
 
 def test_texel_value_1_is_the_white_of_an_emissive_chart() -> None:

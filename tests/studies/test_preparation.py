@@ -223,8 +223,8 @@ def test_study_scene_option_drops_parameters_of_the_other_scene() -> None:
         ("--window 9", ["window_mm: got 9", "at most the width of the die, 2.7136"]),
         ("--scene nowhere", ["scene: got 'nowhere'"]),
         ("--camera.f-number x", ["camera.f_number: got 'x'"]),
-        ("--scene flat -D max_lp_per_mm=3", ["max_lp_per_mm", "csf"]),
-        ("-D chart=charts/flat.exr -D max_lp_per_mm=3", ["max_lp_per_mm", "-D chart"]),
+        ("--scene flat -D max_lp_per_mm=3", ["scene parameter: got 'max_lp_per_mm'"]),
+        ("-D chart=charts/flat.exr -D max_lp_per_mm=3", ["scene parameter: got 'max_lp_per_mm'"]),
         ("-D max_lp_per_mm=0.5", ["max_lp_per_mm: got 0.5; allowed: at least 1.1"]),
     ],
 )
@@ -381,7 +381,7 @@ def test_dry_run_states_rays_of_the_film_that_is_rendered(
     rendered = []
 
     def stop(job: Renderer, *_: object) -> None:
-        rendered.append((list(job.size), job.plan.spp, job.plan.passes))
+        rendered.append((list(job.size), job.plan.samples.spp, job.plan.light.passes))
         raise InterruptedError
 
     monkeypatch.setattr("pixsim.scene.renderer.Renderer.run", stop)
@@ -397,7 +397,7 @@ def test_dry_run_states_rays_of_the_film_that_is_rendered(
     run = Run.model_validate({"scene": parameters, "camera": die, "display": study.display, "pixel": {"pitch_um": 6.0}})
     assert run_outline(prepare_run(scene, run))["film"] == film
     scene_file = make_render_plan(pixsim.load_scene(scene, **parameters))
-    assert (0 < film["spp"] < scene_file.spp) if scene == "macbeth" else film["spp"] == 0, "cells of a chart are computed"
+    assert (0 < film["spp"] < scene_file.samples.spp) if scene == "macbeth" else film["spp"] == 0, "cells of a chart are computed"
     assert film["samples"][1] > 128 or scene == "flat"
 
 

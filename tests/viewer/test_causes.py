@@ -117,7 +117,7 @@ def test_share_of_a_lamp_outside_the_range_is_that_of_its_photons(low_nm: float,
     end_nm = min(high_nm, 1110)
     inside = max(0, min(end_nm, 830) ** 2 - max(low_nm, 360) ** 2)
     expected = 1 - inside / (end_nm**2 - low_nm**2)
-    header = plan.white_header(plan.bands.edges_nm)
+    header = plan.light.white_header(plan.light.bands.edges_nm)
     assert outside_share(header, FLAT.physics) == pytest.approx(expected, abs=1e-5)
     assert (OUTSIDE in header) == (expected > 0)
     cut = derive(Pixel(pitch_um=5.0, technology="4t-bsi", quantum_efficiency=0.5, infrared_cut_nm=830.0))
@@ -134,7 +134,7 @@ def test_share_of_a_black_body_is_planck_s(tmp_path: Path) -> None:
 
     expected = 1 - photons(360, 830) / photons(300, 1110)
     assert expected > 0.5
-    assert outside_share(plan.white_header(plan.bands.edges_nm), FLAT.physics) == pytest.approx(
+    assert outside_share(plan.light.white_header(plan.light.bands.edges_nm), FLAT.physics) == pytest.approx(
         expected, rel=1e-3
     )  # cells of 10 nm
 
@@ -159,8 +159,8 @@ def test_range_grows_where_lamps_shine_and_the_sensor_sees(tmp_path: Path) -> No
     ):
         plan = plan_of(tmp_path, lamp, pixel)
         assert [re.search(r"a lamp (\w+ at \d+ nm)", warning)[1] for warning in plan.warnings] == list(said)
-        assert (plan.bands.edges_nm[0], plan.bands.edges_nm[-1]) == ends
-        share = outside_share(plan.white_header(plan.bands.edges_nm), derive(pixel))
+        assert (plan.light.bands.edges_nm[0], plan.light.bands.edges_nm[-1]) == ends
+        share = outside_share(plan.light.white_header(plan.light.bands.edges_nm), derive(pixel))
         assert share == pytest.approx(0, abs=1e-4)
 
 

@@ -87,7 +87,7 @@ def test_matrix_and_index_in_the_bands_of_a_picture(camera: str, tmp_path: Path)
     scene, pixel = load("macbeth", lamp=str(lamp), resolution=FILM), pixel_of(camera)
     plan = make_render_plan(scene, scene.camera(), pixel)
     image = Renderer(scene, scene.camera(), plan, seed=0).units  # the bands of a render, without rendering
-    image.header["lamp_w_per_m2_sr_nm"] = plan.lights[0].lamp.spectrum.cell_means(plan.bands.edges_nm).tolist()
+    image.header["lamp_w_per_m2_sr_nm"] = plan.light.lamps[0].lamp.spectrum.cell_means(plan.light.bands.edges_nm).tolist()
     rendition = rendition_of(image, derive(pixel).channels, Display())
     to_display = rendition.matrix(Develop())
     index, matrix = metamerism_index(rendition.errors(to_display)), np.linalg.inv(rendition.to_display) @ to_display

@@ -1,0 +1,231 @@
+"""Inspect a scene before its render is planned: what shines, what reflects, what is in view, and in which wavelengths."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pixsim.base.arrays import Array
+from pixsim.base.caller import parameter, setting
+from pixsim.base.digits import percent
+from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.notes import Note
+from pixsim.light.quantities import LUMINANCE
+from pixsim.light.spectral import (
+    HIGH_NM,
+    LEAST_LM_PER_W,
+    LOW_NM,
+    VISIBLE,
+    WHITE_RADIANCE,
+    WIDEST,
+    Span,
+    Spectrum,
+    photons_per_joule,
+)
+from pixsim.optics.camera import Camera
+from pixsim.scene.contents import (
+    Body,
+    Lamp,
+    Surfaces,
+    checked_lamps,
+    find_bodies,
+    find_lamps,
+    find_surfaces,
+    light_range_nm,
+    planck,
+    warnings_of_skies,
+    white_of,
+)
+from pixsim.scene.scene import Scene, sensor_node
+from pixsim.scene.tree import Node, Tree, nodes_of
+from pixsim.sensor.outside import CENTRES_NM, SHOWN_SHARE, inside, span_of
+from pixsim.sensor.pixel import PixelPhysics
+
+ENDS_LIT = 1e-3  # of its largest value: a lamp's table that ends with less ends dark
+LINE_NM = 100.0  # a lamp's table that is shorter is a line, which ends where it says
+SKY_NM = 320.0, 720.0  # data of Mitsuba 3.9's sunsky, which is 0 outside
+SUN_K = 5772.0  # effective temperature (IAU 2015 resolution B3)
+MAX_NAMED = 4  # surfaces, in a message
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What a scene has, as a camera sees it.
+
+    scene, camera : the scene, and the thin lens that sees it
+    state, sensor : its parsed tree for this camera, and the node of its sensor
+    shape : (H, W) of the film in samples
+    bodies : its shapes in the camera's frame
+    span : range that is computed: where lamps shine and one of the pixels sees
+    all_lamps, lamps : its lamps, and those with light in the range
+    surfaces : spectra of its surfaces
+    white : spectra that add up to the light of its white; none if it is unknown
+    pixels : that see the scene
+    """
+
+    scene: Scene
+    camera: Camera
+    state: Tree
+    sensor: Node
+    shape: tuple[int, int]
+    bodies: list[Body]
+    span: Span
+    all_lamps: list[Lamp]
+    lamps: list[Lamp]
+    surfaces: Surfaces
+    white: tuple[Spectrum, ...]
+    pixels: Sequence[PixelPhysics]
+
+    @property
+    def aspect(self) -> float:
+        """Width of the film over its height."""
+        return self.shape[1] / self.shape[0]
+
+    @property
+    def lamp_spectra(self) -> list[Spectrum]:
+        """The known spectra of all lamps."""
+        return [lamp.spectrum for lamp in self.all_lamps if lamp.spectrum is not None]
+
+    @property
+    def chart_white(self) -> dict[str, float]:
+        """The entry of an irradiance's header on texel value 1 of an emissive chart; empty where the scene is more than a chart.
+
+        Its luminance in cd/m², or the radiance of light without one in W m⁻² sr⁻¹.
+        """
+        emitters = nodes_of(self.state, "Emitter")
+        if len(emitters) != 1 or len(self.bodies) != 1 or emitters[0][1].plugin != "area" or self.lamps[0].spectrum is None:
+            return {}
+        luminance, radiance = self.lamps[0].luminance_cd_per_m2, self.lamps[0].spectrum.integral(*astuple(self.span))
+        name, value = (LUMINANCE, luminance) if luminance > LEAST_LM_PER_W * radiance else (WHITE_RADIANCE, radiance)
+        return {name: float(f"{value:.9g}")} if value > 0 else {}
+
+    @property
+    def warnings(self) -> list[Note]:
+        """Possible problems of the scene."""
+        words = []
+        if self.surfaces.short:
+            ranges = ", ".join(self.surfaces.short)
+            words.append(f"reflectance tables cover only {ranges}, and Mitsuba takes 0 outside; extend them to 360-830 nm")
+        if self.sensor.get("shutter_open", 0.0) != self.sensor.get("shutter_close", 0.0):  # no scene that pixsim reads has motion
+            exposure = f"{setting('exposure.integration_s')} sets the exposure, {setting('exposure.max_integration_s')} its limit"
+            words.append(f"the sensor's shutter_open and shutter_close change nothing, since nothing moves: {exposure}")
+        if self.surfaces.ending:
+            words.append(f"outside {VISIBLE.words} these are what Mitsuba makes of them: {_named(self.surfaces.ending)}")
+        if self.surfaces.mirrors:
+            metals = "Mitsuba takes 0 for the index of a metal beyond its tables, a perfect mirror where both end"
+            words.append(f"{metals}; extend {_named(self.surfaces.mirrors)}")
+        words += [*warnings_of_skies(self.state, self.scene.choice.reading), *light_that_ends(self)]
+        return [Note("scene", words=text) for text in words]
+
+
+def inspect_scene(scene: Scene, camera: Camera, pixels: Sequence[PixelPhysics]) -> Inspection:
+    """Return what a scene has, as a thin lens sees it.
+
+    pixels : whose response decides on the range that is computed
+
+    Raises PixsimError for a scene without light in that range, for a lamp that is negative or not finite, and for a surface of
+    which nobody says what it is there.
+    """
+    state, reading = scene.for_camera(camera), scene.choice.reading
+    sensor = sensor_node(state, scene.sensor_id)[1]
+    height, width = scene.film_shape(camera, state)
+    all_lamps = find_lamps(state, reading)
+    span = span_of([lamp.spectrum for lamp in all_lamps if lamp.spectrum is not None], pixels)
+    lamps = checked_lamps(all_lamps, span)
+    if not lamps:
+        raise _no_light(all_lamps)
+    surfaces = find_surfaces(state, reading, span, scene.beyond_tables)
+    if surfaces.ending and not scene.beyond_tables:
+        raise _unknown_beyond(surfaces)
+
+    return Inspection(
+        scene=scene,
+        camera=camera,
+        state=state,
+        sensor=sensor,
+        shape=(max(1, height), max(1, width)),  # the renderer checks the size
+        bodies=find_bodies(state, sensor),
+        span=span,
+        all_lamps=all_lamps,
+        lamps=lamps,
+        surfaces=surfaces,
+        white=white_of(state, all_lamps if scene.white_lamps else lamps, scene.white_lamps),
+        pixels=pixels,
+    )
+
+
+def light_that_ends(inspection: Inspection) -> list[str]:
+    """Return what to say of lamps whose data end where a sensor sees light, with the share of its electrons that may lack."""
+    span, channels = inspection.span, [channel for physics in inspection.pixels for channel in physics.channels]
+
+    def share(light: Array, beyond: NDArray[np.bool_]) -> float:
+        """Largest share of the electrons in any channel, of a spectrum (cells,), that comes from the cells beyond."""
+        shares = [0.0]
+        for channel in channels:
+            electrons = light * channel.quantum_efficiency(CENTRES_NM) * photons_per_joule(CENTRES_NM)
+            if electrons.sum() > 0:
+                shares.append(float(electrons[beyond].sum() / electrons.sum()))
+        return max(shares)
+
+    warnings = []
+    for lamp in inspection.lamp_spectra:
+        nodes, values = lamp.nodes_nm, lamp.values
+        if nodes[-1] - nodes[0] < LINE_NM:
+            continue
+
+        lit = ENDS_LIT * values.max()
+        held = np.where(inside(span), np.interp(CENTRES_NM, nodes, values), 0.0)
+        for word, end_nm, value, beyond in (
+            ("begins", nodes[0], values[0], nodes[0] > CENTRES_NM),
+            ("ends", nodes[-1], values[-1], nodes[-1] < CENTRES_NM),
+        ):
+            if value > lit and (part := share(held, beyond)) > SHOWN_SHARE:
+                warnings.append(
+                    f"the light of a lamp {word} at {end_nm:g} nm, where it is not 0: it is taken as 0 beyond; "
+                    f"if it stayed so, {percent(part)} of the electrons would come from there"
+                )
+
+    pictures = [inspection.state.nodes[index] for lamp in inspection.all_lamps if lamp.spectrum is None for index in lamp.pictures]
+    if pictures and span != VISIBLE:
+        names = ", ".join(dict.fromkeys(f"'{node.plugin}'" for node in pictures))
+        warnings.append(f"the light of a picture or an RGB colour is 0 outside {VISIBLE.words}, which counts here: {names}")
+
+    if any(node.plugin == "sunsky" for node in pictures):
+        # Air lets little of the sun through below 320 nm.
+        part = share(planck(CENTRES_NM, SUN_K), SKY_NM[1] < CENTRES_NM)
+        if part > SHOWN_SHARE:
+            warnings.append(
+                f"a sunsky has data from {SKY_NM[0]:g} to {SKY_NM[1]:g} nm, and is 0 beyond: of sunlight (a black body of "
+                f"{SUN_K:g} K), {percent(part, 1)} of the electrons come from there; a filter keeps it out "
+                f"({setting('pixel.infrared_cut_nm', SKY_NM[1])})"
+            )
+    return list(dict.fromkeys(warnings))
+
+
+def _unknown_beyond(surfaces: Surfaces) -> PixsimError:
+    """Return the error for surfaces of which nobody says what they are in all of the range that is computed."""
+    got = f"{_named(surfaces.ending)}, under a lamp with light that the sensor sees in {surfaces.span.words}"
+    allowed = f"tables of reflectance that cover {surfaces.span.words}"
+    hint = (
+        f"Extend them; or state {parameter('beyond_tables', 'hold')} or 'zero'; or keep that light out "
+        f"({setting('pixel.infrared_cut_nm', HIGH_NM)})."
+    )
+    return invalid("scene", got, allowed, hint)
+
+
+def _named(surfaces: Sequence[str]) -> str:
+    """Return the first of some surfaces, as text."""
+    return "; ".join(surfaces[:MAX_NAMED]) + f"; and {len(surfaces) - MAX_NAMED} more" * (len(surfaces) > MAX_NAMED)
+
+
+def _no_light(lamps: Sequence[Lamp]) -> PixsimError:
+    """Return the error for a scene without light in the range that is computed."""
+    if ends := light_range_nm(lamps):
+        got = f"light from {ends[0]:g} to {ends[1]:g} nm only"
+        allowed = f"light within {LOW_NM:g}-{HIGH_NM:g} nm, or within {WIDEST.words} where the sensor sees it"
+        hint = "Choose a lamp with light in that range, or a sensor without an infrared cut (pixel.infrared_cut_nm)."
+        return invalid("scene", got, allowed, hint)
+    return invalid("scene", "no emitter with light", "a lamp, a chart or a sky with light", "Check that its scale is above 0.")
