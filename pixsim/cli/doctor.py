@@ -14,8 +14,8 @@ from pixsim.base import cache, machine
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import FOLDER_VARIABLE
 from pixsim.base.version import VERSION
+from pixsim.scene.trial import attempt
 from pixsim.scene.variants import graphics, variant
-from pixsim.scene.variants.trial import attempt, picture_fault
 from pixsim.show.document import Document, DocumentTable
 
 OK, NOTE, PROBLEM = "ok", "note", "problem"
@@ -103,19 +103,19 @@ def _llvm() -> Diagnosis:
 
 
 def _graphics(card: graphics.GraphicsTrial) -> Diagnosis:
-    facts = {"card": card.card, "fault": card.fault}
+    facts = {"fault": card.fault}
     if card.fault is None:
-        return Diagnosis("graphics card", OK, card.card, facts=facts)
+        return Diagnosis("graphics card", OK, "works, and traces by default", facts=facts)
     mark = NOTE if card.tried_s else OK  # none is required
     return Diagnosis("graphics card", mark, f"not used: {card.fault}", facts=facts)
 
 
 def _test_render(limit_s: float) -> Diagnosis:
-    trial = attempt("render", limit_s=limit_s)
+    trial = attempt(limit_s=limit_s)
     facts = {**trial.facts, "seconds": trial.seconds}
     name = trial.facts.get("variant")
-    if fault := picture_fault(trial):
-        works_without = name != variant.SCALAR and picture_fault(attempt("render", variant.SCALAR, limit_s=limit_s)) is None
+    if fault := trial.fault:
+        works_without = name != variant.SCALAR and attempt(variant.SCALAR, limit_s=limit_s).fault is None
         mend = f"pixsim run csf --variant {variant.SCALAR}" if works_without else "pip install --force-reinstall mitsuba drjit"
         return Diagnosis("test render", PROBLEM, fault, mend, facts)
     found = (

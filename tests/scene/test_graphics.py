@@ -25,7 +25,6 @@ from helpers.processes import HANG_S
 from helpers.tiny import lit_sensors, tiny
 
 import pixsim
-from pixsim.base import cache
 from pixsim.base.errors import PixsimError
 from pixsim.scene.convergence import render_until
 from pixsim.scene.guard import tracer
@@ -36,8 +35,8 @@ from pixsim.scene.mitsuba import speaking_mitsuba
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.renderer import Renderer
 from pixsim.scene.tree import _to_json, tree_of
-from pixsim.scene.variants import checks, graphics, variant
-from pixsim.scene.variants.trial import Trial, attempt
+from pixsim.scene.trial import Trial
+from pixsim.scene.variants import graphics, variant
 
 # Numbers that a real driver would report are read from the environment.
 FAKE_DRIVER = r"""
@@ -62,12 +61,8 @@ int cuDeviceGetAttribute(int *value, int attribute, int device) {
 }
 int cuDeviceTotalMem_v2(size_t *bytes, int device) { *bytes = (size_t) of("FAKE_GIB", 8) << 30; return 0; }
 """
-FACTS: dict[str, Any] = {
-    "cuda": [12, 8], "devices": 1, "card": "NVIDIA of a test", "memory_bytes": 8 << 30, "capability": [8, 9], "fault": None,
-}  # fmt: skip
-CARD = "NVIDIA of a test, 8.0 GiB, CUDA 12.8"
 RIGHT = {"mean_error": 1e-5, "rms_error": 4e-3}
-DRIVER, PICTURE = Trial([FACTS], 0.1, 0, ""), Trial([RIGHT], 5.0, 0, "")
+PICTURE, DIES = Trial(RIGHT, 5.0, 0), Trial({}, 1.0, -6)
 
 
 @pytest.fixture(scope="module")
@@ -87,31 +82,32 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> str:
 def driver(library: str, monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     """A machine with the tests' driver, and some library in the place of OptiX."""
     monkeypatch.setenv(graphics.DRIVER_VARIABLE, library)
-    monkeypatch.setenv(graphics.OPTIX_VARIABLE, library)
+    monkeypatch.setenv("DRJIT_LIBOPTIX_PATH", library)
     return monkeypatch
 
 
 class Machine:
     """A machine with a card, whose trials the test decides; it counts them."""
 
-    def __init__(self, folder: Path, patch: pytest.MonkeyPatch) -> None:
-        self.driver, self.picture, self.tries, self.patch, self.now_s = DRIVER, PICTURE, [], patch, 1e9
+    def __init__(self, folder: Path, library: str, patch: pytest.MonkeyPatch) -> None:
+        self.picture, self.tries, self.patch, self.now_s = PICTURE, 0, patch, 1e9
         (folder / "nvidiactl").touch()
         patch.setenv("PIXSIM_CACHE_DIR", str(folder / "cache"))
+        patch.setenv(graphics.DRIVER_VARIABLE, library)
         patch.setattr(graphics, "NODES", (str(folder / "nvidiactl"),))
-        patch.setattr(graphics, "loaded_driver", lambda: object())
         patch.setattr(graphics, "attempt", self.attempt)
         patch.setattr(graphics.time, "time", lambda: self.now_s)
 
-    def attempt(self, kind: str, *arguments: str, limit_s: float) -> Trial:
-        self.tries.append(" ".join([kind, *arguments]))
+    def attempt(self, name: str, *, limit_s: float) -> Trial:
+        self.tries += 1
+        assert name == "cuda_ad_spectral"
         assert 0 < limit_s < 600
-        return self.driver if kind == "driver" else self.picture
+        return self.picture
 
 
 @pytest.fixture
-def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Machine:
-    return Machine(tmp_path, monkeypatch)
+def machine(tmp_path: Path, library: str, monkeypatch: pytest.MonkeyPatch) -> Machine:
+    return Machine(tmp_path, library, monkeypatch)
 
 
 PROCESSORS = variant.ChosenVariant("llvm_ad_spectral", "lib", "system, LLVM 19")
@@ -137,76 +133,22 @@ def test_machine_without_card_starts_nothing(fresh: pytest.MonkeyPatch, tmp_path
     """No process, and no library: what is left are two looks at the file system."""
     fresh.setattr(graphics, "NODES", (str(tmp_path / "nvidiactl"),))
     fresh.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("started a process"))
-    fresh.setattr(graphics, "loaded_driver", lambda: pytest.fail("loaded a library"))
+    fresh.setattr(graphics.ctypes, "CDLL", lambda _: pytest.fail("loaded a library"))
     assert graphics.verdict() == graphics.GraphicsTrial(graphics.NO_CARD)
     assert variant.choose() == replace(PROCESSORS, reason=f"{PROCESSORS.reason}; no graphics card: {graphics.NO_CARD}")
 
 
 def test_machine_without_driver_starts_nothing(fresh: pytest.MonkeyPatch, tmp_path: Path):
-    """A device of a driver whose library is not there, as in containers that get the devices alone; and other systems."""
+    """A device of a driver whose library is not there, as in containers that get the devices alone."""
     (tmp_path / "nvidiactl").touch()
     fresh.setattr(graphics, "NODES", (str(tmp_path / "nvidiactl"),))
-    fresh.setenv(graphics.DRIVER_VARIABLE, str(tmp_path / "nowhere.so"))
     fresh.setattr(graphics, "attempt", lambda *_, **__: pytest.fail("started a process"))
-    assert graphics.verdict().fault == f"{graphics.DRIVER_VARIABLE} is '{tmp_path / 'nowhere.so'}', which cannot be loaded"
-    fresh.delenv(graphics.DRIVER_VARIABLE)
-    fresh.setattr(graphics, "DRIVERS", ())
-    fresh.setattr(graphics, "DRIVER_PATTERNS", ())
-    assert graphics.verdict().fault == graphics.NO_DRIVER
-    fresh.setattr(sys, "platform", "darwin")
-    assert graphics.verdict().fault == graphics.NOT_LINUX
+    for path in (str(tmp_path / "nowhere.so"), "libcuda_of_no_machine.so.1"):
+        fresh.setenv(graphics.DRIVER_VARIABLE, path)
+        assert graphics.verdict().fault == graphics.NO_DRIVER.format(path)
 
 
-# --- The check of the driver ---
-
-
-@pytest.mark.parametrize(
-    ("given", "fault"),
-    [
-        ({}, None),
-        ({"FAKE_CUDA": "12020"}, None),
-        ({"FAKE_CUDA": "13000"}, None),
-        ({"FAKE_CUDA": "12010"}, "is for CUDA 12.1; Mitsuba needs CUDA 12.2"),
-        ({"FAKE_CUDA": "11080"}, "is for CUDA 11.8; Mitsuba needs CUDA 12.2"),
-        ({"FAKE_CUDA": "12070"}, "install 570 or newer"),
-        ({"FAKE_INIT": "100"}, "finds no usable card (CUDA_ERROR_NO_DEVICE)"),
-        ({"FAKE_INIT": "999"}, "finds no usable card (cuInit: 999)"),
-        ({"FAKE_COUNT": "0", "CUDA_VISIBLE_DEVICES": "-1"}, "shows no card (CUDA_VISIBLE_DEVICES is '-1')"),
-        ({"FAKE_CAPABILITY": "75"}, None),
-        ({"FAKE_CAPABILITY": "61"}, "has compute capability 6.1; Mitsuba needs 7.5"),
-        ({"FAKE_GIB": "2"}, None),
-        ({"FAKE_GIB": "1"}, "has 1.0 GiB of memory, and a render needs up to 2 GiB"),
-        ({graphics.OPTIX_VARIABLE: "/nowhere/libnvoptix.so.1"}, "NVIDIA_DRIVER_CAPABILITIES"),
-    ],
-)
-def test_driver_says_what_is_wrong(given: dict[str, str], fault: str | None, driver: pytest.MonkeyPatch):
-    """The limits are those of the messages in Dr.Jit 1.5: CUDA 12.2, but not 12.7, compute capability 7.5."""
-    driver.delenv("CUDA_VISIBLE_DEVICES", raising=False)
-    for name, value in given.items():
-        driver.setenv(name, value)
-    found = graphics.driver_fault(Trial(list(checks.driver()), 0.1, 0, ""))
-    assert found == fault if fault is None else fault in str(found)
-
-
-def test_driver_tells_card(driver: pytest.MonkeyPatch):
-    (facts,) = [Trial(list(checks.driver()), 0.1, 0, "").facts]
-    assert facts == FACTS
-
-
-def test_driver_missing_function_is_fault(driver: pytest.MonkeyPatch, tmp_path: Path):
-    """A library with the name of the driver that is none; in a child, where the exception ends it."""
-    other = tmp_path / "libcuda.so.1"
-    subprocess.run(["cc", "-shared", "-fPIC", "-x", "c", "-", "-o", other], input="int f;", text=True, check=True)
-    driver.setenv(graphics.DRIVER_VARIABLE, str(other))
-    assert "the check of its driver fails: AttributeError" in str(graphics.driver_fault(attempt("driver", limit_s=HANG_S)))
-
-
-@pytest.mark.parametrize(("how", "fault"), [("FAKE_DIES", "dies of signal 11 (SIGSEGV)"), ("FAKE_HANGS", "hangs: stopped after")])
-def test_driver_that_dies_or_hangs_is_fault(how: str, fault: str, driver: pytest.MonkeyPatch):
-    driver.setenv(how, "1")
-    trial = attempt("driver", limit_s=1 if how == "FAKE_HANGS" else HANG_S)
-    assert fault in str(graphics.driver_fault(trial))
-    assert (trial.returncode is None) == (how == "FAKE_HANGS")
+# --- The process that starts the driver ---
 
 
 START = {
@@ -237,95 +179,78 @@ def test_card_that_fails_to_start_fails_its_trial(driver: pytest.MonkeyPatch, tm
 
 
 def test_card_that_works_is_tried_once(machine: Machine):
-    with pytest.warns(UserWarning, match=r"the graphics card \(NVIDIA of a test, 8.0 GiB, CUDA 12.8\) passed its trial"):
-        assert graphics.verdict() == graphics.GraphicsTrial(None, CARD, machine.now_s)
-    assert machine.tries == ["driver", "render cuda_ad_spectral"]
+    with pytest.warns(UserWarning, match="the graphics card passed its trial"):
+        assert graphics.verdict() == graphics.GraphicsTrial(None, machine.now_s)
+    assert machine.tries == 1
     machine.now_s += 1e9
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert graphics.verdict().fault is None
-    assert len(machine.tries) == 2
+    assert machine.tries == 1
 
 
 @pytest.mark.parametrize(
-    ("trials", "fault", "age_s"),
+    ("picture", "fault"),
     [
-        ({"driver": Trial([FACTS | {"cuda": [11, 8]}], 0.1, 0, "")}, "CUDA 11.8", graphics.FAILED_S),
-        ({"driver": Trial([], 20.0, None, "")}, "hangs: stopped after 20 s", graphics.STOPPED_S),
-        ({"driver": Trial([{"cuda": [12, 8]}], 0.1, -11, "")}, "dies of signal 11", graphics.FAILED_S),
-        ({"driver": Trial([], 0.1, 0, "")}, "shows no card", graphics.FAILED_S),
-        ({"picture": Trial([], 90.0, None, "")}, "hangs: stopped after 90 s", graphics.STOPPED_S),
-        ({"picture": Trial([], 1.0, -6, "")}, "dies of signal 6 (SIGABRT)", graphics.FAILED_S),
-        ({"picture": Trial([{"refused": "no OptiX"}], 1.0, 0, "")}, "no OptiX", graphics.FAILED_S),
-        ({"picture": Trial([RIGHT | {"mean_error": 2e-3}], 1.0, 0, "")}, "its image is wrong", graphics.FAILED_S),
-        ({"picture": Trial([RIGHT | {"rms_error": float("nan")}], 1.0, 0, "")}, "its image is wrong", graphics.FAILED_S),
+        (Trial({}, 90.0, None), "hangs: stopped after 90 s"),
+        (DIES, "dies of signal 6 (SIGABRT)"),
+        (Trial({"refused": "no OptiX"}, 1.0, 0), "no OptiX"),
+        (Trial(RIGHT | {"mean_error": 2e-3}, 1.0, 0), "its image is wrong"),
+        (Trial(RIGHT | {"rms_error": float("nan")}, 1.0, 0), "its image is wrong"),
     ],
-)  # fmt: skip
-def test_failure_is_kept_for_a_while(machine: Machine, trials: dict[str, Trial], fault: str, age_s: float):
-    """A day; an hour after a time limit, which may only mean that the machine was busy."""
-    machine.__dict__.update(trials)
+)
+def test_failure_is_kept_for_a_day(machine: Machine, picture: Trial, fault: str):
+    machine.picture = picture
     with pytest.warns(UserWarning, match="the graphics card is not used"):
         assert fault in str(graphics.verdict().fault)
-    count = len(machine.tries)
-    machine.driver, machine.picture = DRIVER, PICTURE
-    machine.now_s += 0.99 * age_s
+    machine.picture = PICTURE
+    machine.now_s += 0.99 * 86400
     assert fault in str(graphics.verdict().fault)
-    assert len(machine.tries) == count
-    machine.now_s += 0.02 * age_s
+    assert machine.tries == 1
+    machine.now_s += 0.02 * 86400
     with pytest.warns(UserWarning, match="passed its trial"):
         assert graphics.verdict().fault is None
-    assert len(machine.tries) == count + 2
+    assert machine.tries == 2
 
 
 def test_clock_set_back_tries_again(machine: Machine):
-    machine.picture = Trial([], 1.0, -6, "")
+    machine.picture = DIES
     with pytest.warns(UserWarning, match="is not used"):
         graphics.verdict()
     machine.now_s -= 10
     with pytest.warns(UserWarning, match="is not used"):
         graphics.verdict()
-    assert len(machine.tries) == 4
+    assert machine.tries == 2
 
 
 def test_other_driver_or_visible_cards_are_tried(machine: Machine):
     with pytest.warns(UserWarning, match="passed"):
         graphics.verdict()
-    for name in graphics.OF_DRIVER:
+    for name in graphics.DRIVER_SETTINGS:
         if name != graphics.DRIVER_VARIABLE:
             machine.patch.setenv(name, "1")
             with pytest.warns(UserWarning, match="passed"):
                 graphics.verdict()
-    assert machine.tries.count("driver") == len(graphics.OF_DRIVER)
+    assert machine.tries == len(graphics.DRIVER_SETTINGS)
 
 
 @pytest.mark.parametrize(("name", "value"), [("PIXSIM_CACHE_GIB", "0"), ("PIXSIM_CACHE_DIR", "/dev/null/there")])
 def test_without_cache_nothing_is_tried(machine: Machine, name: str, value: str):
     """Or each process would try, and each worker of a study; `pixsim doctor` does."""
     machine.patch.setenv(name, value)
-    assert graphics.verdict() == graphics.GraphicsTrial(graphics.NOT_KEPT)
-    assert machine.tries == []
+    assert graphics.verdict() == graphics.GraphicsTrial(graphics.NOT_CACHED)
+    assert machine.tries == 0
     assert graphics.verdict(again=True).fault is None
 
 
-def test_damaged_verdict_is_tried_again(machine: Machine, tmp_path: Path):
-    with pytest.warns(UserWarning, match="passed"):
-        graphics.verdict()
-    (entry,) = (tmp_path / "cache" / graphics.KIND).iterdir()
-    for damage in ("{", "[]", '{"fault": 3}', '{"fault": null, "card": 3}', '{"fault": null, "tried_s": "soon"}'):
-        entry.write_text(cache._json_entry(graphics.KIND, entry.stem, damage))
-        with pytest.warns(UserWarning, match="is damaged|passed"):
-            assert graphics.verdict().fault is None
-    assert json.loads(entry.read_text())["value"]["fault"] is None
-
-
 def test_doctor_tries_again(machine: Machine):
-    machine.picture = Trial([], 1.0, -6, "")
+    machine.picture = DIES
     with pytest.warns(UserWarning, match="is not used"):
         graphics.verdict()
     machine.picture = PICTURE
     assert graphics.verdict(again=True).fault is None
     assert graphics.verdict().fault is None  # its verdict is kept
-    assert len(machine.tries) == 4
+    assert machine.tries == 2
 
 
 # --- The choice ---
@@ -335,7 +260,7 @@ def test_doctor_tries_again(machine: Machine):
 def test_choose_prefers_card_and_reads_on_processors():
     with pytest.warns(UserWarning, match="passed"):
         chosen = variant.choose()
-    assert chosen == variant.ChosenVariant("cuda_ad_spectral", "lib", f"{CARD} passed its trial", PROCESSORS)
+    assert chosen == variant.ChosenVariant("cuda_ad_spectral", "lib", "the graphics card passed its trial", PROCESSORS)
     assert chosen.reading == "llvm_ad_spectral"
     assert variant.choose("llvm_ad_spectral") == PROCESSORS
     assert variant.choose("scalar_spectral").variant == "scalar_spectral"
@@ -345,10 +270,10 @@ def test_choose_prefers_card_and_reads_on_processors():
 
 @pytest.mark.usefixtures("with_llvm")
 def test_choose_without_working_card_says_why(machine: Machine):
-    machine.picture = Trial([], 1.0, -6, "")
+    machine.picture = DIES
     with pytest.warns(UserWarning, match="is not used"):
         chosen = variant.choose()
-    reason = f"{PROCESSORS.reason}; no graphics card: its trial render fails: dies of signal 6 (SIGABRT)"
+    reason = f"{PROCESSORS.reason}; no graphics card: its trial render fails: dies of signal 6 (SIGABRT) ({graphics.NEEDS})"
     assert chosen == replace(PROCESSORS, reason=reason)
 
 
@@ -491,6 +416,6 @@ def test_computed_chart_states_what_read_it():
     """A chart whose cells are computed takes no rays, so that the card has no part in its light, and no study begins anew."""
     scene = replace(pixsim.load_scene("csf", variant=VARIANT).with_resolution(256), choice=CHOSEN)
     plan = make_render_plan(scene, scene.camera(), pixsim.Pixel(pitch_um=20.0), exact=True)
-    assert plan.exact
+    assert plan.samples.exact
     image, _ = render_until(scene, scene.camera(), plan, [], pixsim.Exposure())
     assert image.header["variant"] == VARIANT

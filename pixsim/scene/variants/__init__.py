@@ -1,1 +1,1 @@
-"""Which variant of Mitsuba works on this machine: what may abort is tried in a process of its own (`trial`, `checks`)."""
+"""Which variant of Mitsuba works on this machine: LLVM, a graphics card, or neither."""

@@ -7,12 +7,9 @@ Mitsuba 3.9 with LLVM 15 or 16 aborts the process at the first render. The LLVM 
 from __future__ import annotations
 
 import ctypes
-import hashlib
 import importlib.metadata
 import os
 import re
-import shutil
-import subprocess
 import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -20,9 +17,9 @@ from functools import lru_cache
 from pathlib import Path
 
 from pixsim.base import cache
-from pixsim.base.children import safe_variables
 from pixsim.base.errors import did_you_mean, invalid
 from pixsim.base.notes import Note, warn
+from pixsim.base.records import content_hash
 from pixsim.scene.variants import graphics
 
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
@@ -31,8 +28,14 @@ SYSTEM = "system"  # origin of a library, besides the variable and the wheel
 OLDEST_LLVM = 17
 LLVM, SCALAR, CUDA = "llvm_ad_spectral", "scalar_spectral", graphics.CUDA
 VARIANTS = (LLVM, SCALAR, CUDA)
-UNUSABLE_HINT = "Leave out --variant; `pixsim doctor` says what each variant lacks."
-SYSTEM_PATTERNS = ("lib/*-linux-gnu/libLLVM*.so*", "lib/llvm-*/lib/libLLVM*.so*", "lib64/libLLVM*.so*", "lib/libLLVM*.so*")
+UNUSABLE_HINT = "Leave out --variant; `pixsim doctor` examines LLVM and the graphics card."
+SYSTEM_PATTERNS = (  # of Debian, Fedora and Arch, in /usr
+    "lib/*-linux-gnu/libLLVM*.so*",
+    "lib/llvm-*/lib/libLLVM*.so*",
+    "lib64/libLLVM*.so*",
+    "lib64/llvm*/lib/libLLVM*.so*",
+    "lib/libLLVM*.so*",
+)
 
 
 @dataclass(frozen=True)
@@ -71,39 +74,28 @@ def llvm_version(path: str) -> int | None:
     return int(major.value)
 
 
-def known_version(path: str) -> int | None:
-    """Return `llvm_version`, remembered for a library's size and time of change: loading it takes 50 ms, in vain without a render.
+def cached_version(path: str) -> int | None:
+    """Return `llvm_version`, cached for a library's size and time of change: loading it takes 50 ms, in vain without a render.
 
-    That a library cannot be loaded is not remembered: it may lack another one.
+    That a library cannot be loaded is not cached: it may lack another one.
     """
     try:
         file = os.stat(path)
     except OSError:
         return llvm_version(path)
-    content = repr((os.path.realpath(path), file.st_size, file.st_mtime_ns, cache.version_fingerprint()))
-    key = hashlib.blake2b(content.encode(), digest_size=16).hexdigest()
-    found = cache.load_or_compute(
-        "llvm", key, lambda known: known["major"], lambda: llvm_version(path), lambda major: {"major": major}
-    )
-    return llvm_version(path) if found is None else int(found)
+    key = content_hash([os.path.realpath(path), file.st_size, file.st_mtime_ns, cache.version_fingerprint()])
+    version = cache.value_of("llvm", key, lambda content: int(content["major"]))
+    if version is None and (version := llvm_version(path)) is not None:
+        cache.store_value("llvm", key, {"major": version})
+    return version
 
 
-@dataclass(frozen=True)
-class Library:
-    """A candidate for libLLVM, with its origin and its version from `llvm_version`."""
-
-    path: str
-    origin: str
-    version: int | None
-
-    @property
-    def fault(self) -> str | None:
-        """Why Mitsuba cannot use the library; None if it can."""
-        if self.version is None:
-            path = Path(self.path)
-            why = "it is a folder" if path.is_dir() else "no library for this machine" if path.exists() else "no such file"
-            return f"cannot be loaded ({why})"
-        return f"is version {self.version or '15 or older'}" if self.version < OLDEST_LLVM else None
+def library_fault(path: str, version: int | None) -> str | None:
+    """Return why Mitsuba cannot use a libLLVM of a `llvm_version`; None if it can."""
+    if version is not None:
+        return f"is version {version or '15 or older'}" if version < OLDEST_LLVM else None
+    reason = "no library for this machine" if os.path.exists(path) else "no such file"
+    return f"cannot be loaded ({'it is a folder' if os.path.isdir(path) else reason})"
 
 
 def candidates() -> Iterator[tuple[str, str]]:
@@ -121,20 +113,7 @@ def _newest_first(paths: Iterable[Path]) -> list[str]:
 
 
 def _system_candidates() -> list[str]:
-    files = [path for pattern in SYSTEM_PATTERNS for path in Path("/usr").glob(pattern)]
-    return _newest_first([*files, *_known_to_the_loader()])
-
-
-def _known_to_the_loader() -> list[Path]:
-    """Return the libraries in the folders of /etc/ld.so.conf, as `ldconfig` lists them."""
-    ldconfig = shutil.which("ldconfig", path=safe_variables()["PATH"] + ":/usr/sbin:/sbin")
-    if ldconfig is None:
-        return []
-    try:
-        listed = subprocess.run([ldconfig, "-p"], capture_output=True, text=True, errors="replace", timeout=5).stdout
-    except (OSError, subprocess.SubprocessError):
-        return []
-    return [Path(path) for path in re.findall(r"^\s*libLLVM\S* .* => (/.+)$", listed, re.MULTILINE)]
+    return _newest_first(path for pattern in SYSTEM_PATTERNS for path in Path("/usr").glob(pattern))
 
 
 def _wheel_candidates() -> list[str]:
@@ -157,12 +136,13 @@ def find_llvm() -> tuple[str | None, str]:
     if given in _reasons:
         return given, _reasons[given]
     for path, origin in candidates():
-        library = Library(path, origin, known_version(path))
-        if library.fault is None:
-            return path, f"{origin}, LLVM {library.version}"
+        version = cached_version(path)
+        fault = library_fault(path, version)
+        if fault is None:
+            return path, f"{origin}, LLVM {version}"
         if origin == LLVM_VARIABLE:
             hint = f"Unset it and install the wheel: pip install {LLVM_WHEEL}."
-            raise invalid(LLVM_VARIABLE, f"'{path}', which {library.fault}", f"LLVM {OLDEST_LLVM} or newer", hint)
+            raise invalid(LLVM_VARIABLE, f"'{path}', which {fault}", f"LLVM {OLDEST_LLVM} or newer", hint)
     return None, f"no LLVM {OLDEST_LLVM} or newer was found"
 
 
@@ -186,7 +166,7 @@ def choose(asked: str | None = None) -> ChosenVariant:
         return processors
     card = graphics.verdict()
     if card.fault is None:
-        return ChosenVariant(CUDA, processors.llvm_path, f"{card.card} passed its trial", processors)
+        return ChosenVariant(CUDA, processors.llvm_path, "the graphics card passed its trial", processors)
     if lacks:
         warn(Note("machine", words=f"rendering with {SCALAR}, since {lacks}"))
     return replace(processors, reason=f"{processors.reason}; no graphics card: {card.fault}")
