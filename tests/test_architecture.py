@@ -315,7 +315,11 @@ def test_version_is_consistent() -> None:
 
 
 # What the rest of pixsim may take from scene/guard: an inspected scene, and what traces it.
-DOORS = {"scene.guard.inspector": {"open_scene", "SceneText", "REASONS"}, "scene.guard.tracer": {"Tracer", "tracer_of"}}
+DOORS = {
+    "scene.guard.files": {"ASSETS"},
+    "scene.guard.inspector": {"open_scene", "SceneText", "REASONS"},
+    "scene.guard.tracer": {"Tracer", "tracer_of"},
+}
 
 
 @pytest.mark.parametrize("module", [name for name in MODULES if not name.startswith("scene.guard")])

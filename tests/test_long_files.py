@@ -19,7 +19,6 @@ from pixsim.light.foreign import parse_light_unit
 from pixsim.optics.chief_rays import as_chief_ray_angles
 from pixsim.optics.exchange import read_irradiance
 from pixsim.optics.glass import read_catalogue
-from pixsim.scene.guard.meshes import inspect_mesh
 from pixsim.scene.scene import load_scene
 from pixsim.studies.files import load_study
 
@@ -46,7 +45,6 @@ SURF 1
 SURF 2
 """
 STUDY = 'name = "x"\n{}\n'
-VERTICES = "v 1 1 1\n"
 SETTINGS = '"camera.f_number",' * 40_000
 
 
@@ -55,9 +53,6 @@ READERS: dict[str, tuple[Callable[[str], Any], str]] = {
     "curves": (AS_CURVES["quantum_efficiencies"], ".csv"),
     "chief rays": (as_chief_ray_angles, ".csv"),
     "scene": (load_scene, ".xml"),
-    "obj": (lambda path: inspect_mesh(Path(path), "obj"), ".obj"),
-    "ply": (lambda path: inspect_mesh(Path(path), "ply"), ".ply"),
-    "serialized": (lambda path: inspect_mesh(Path(path), "serialized"), ".serialized"),
     "ENVI": (read_irradiance, ".hdr"),
     "EXR": (read_irradiance, ".exr"),
     "zmx": (lambda path: pixsim.load_lens(path, configuration=2), ".zmx"),
@@ -80,8 +75,6 @@ MIB = 1 << 20
         ("scene", "<a>" * MIB),
         ("scene", f"<{'a' * MIB}/>"),
         ("scene", '<a "' + '<" "' * MIB),
-        ("obj", f"v {'1' * 900}\n" * 10_000 + VERTICES),
-        ("obj", f"{'a' * 998}\n" * 10_000),
         ("ENVI", ENVI.format(units="([" * (MIB // 2 - 1000), data="W/m^2/nm", more="byte order = 0")),
         ("ENVI", ENVI.format(units="nm", data="W/" * (MIB // 2 - 1000), more="byte order = 0")),
         ("ENVI", ENVI.format(units="nm", data="W/m^2/nm", more=(" " * 50 + "\n") * 19_000)),
@@ -102,8 +95,7 @@ def test_time_is_bounded_by_size(kind: str, text: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("kind", "head"),
     [
-        ("curve", ""), ("scene", ""), ("obj", ""), ("ply", "ply\nformat ascii 1.0\ncomment "), ("serialized", "\x1c\x04\x04\0"),
-        ("EXR", "v/1\x01\x02\0\0\0"), ("zmx", ""), ("catalogue", ""), ("study", ""),
+        ("curve", ""), ("scene", ""), ("EXR", "v/1\x01\x02\0\0\0"), ("zmx", ""), ("catalogue", ""), ("study", ""),
     ],
 )  # fmt: skip
 def test_a_line_of_50_mb_is_refused_in_seconds(kind: str, head: str, tmp_path: Path) -> None:

@@ -229,6 +229,10 @@ Metrics = Annotated[
     ),
 ]
 Linear = Annotated[bool, Parameter(help="The picture of -D chart=FILE is linear in light, not sRGB (scene.chart_linear).")]
+Assets = Annotated[
+    str | None,
+    Parameter(help="Let the scene name files of this folder, besides those of its own (scene.assets).", metavar="FOLDER"),
+]
 Tolerance = Annotated[str | None, field_option(Run, "tolerance_e")]
 NoiseBudget = Annotated[bool | None, Parameter(help=Run.model_fields["noise_budget"].description, negative="")]
 Full = Annotated[bool, Parameter(help="Render without simplifications.")]
@@ -312,6 +316,7 @@ class SceneOptions:
     config: Config = None
     define: Define = None
     linear: Linear = False
+    assets: Assets = None
     camera: CameraTable = None
     lens: LensTable = None
     pixel: PixelTable = None
@@ -331,7 +336,7 @@ class SceneOptions:
         """
         values = {**vars(self), **others, **(vars(effort) if effort else {})}
         del values["config"]
-        return given({"scene": definitions(values.pop("define"), values.pop("linear")), **values})
+        return given({"scene": definitions(values.pop("define"), values.pop("linear"), values.pop("assets")), **values})
 
     def study_tables(self, scene: str | None, effort: EffortOptions, **others: object) -> dict[str, Any]:
         """The options as tables of a study, in place of those of its file.
@@ -341,7 +346,7 @@ class SceneOptions:
         """
         values = {**vars(self), **others, **vars(effort)}
         del values["config"]
-        parameters = definitions(values.pop("define"), values.pop("linear"))
+        parameters = definitions(values.pop("define"), values.pop("linear"), values.pop("assets"))
         return given({"scene": given({"file": scene, "parameters": parameters}) or None, **values})
 
 
@@ -455,9 +460,10 @@ def given(options: dict[str, Any]) -> dict[str, Any]:
     return {name: given(vars(value)) if is_dataclass(value) else value for name, value in options.items() if value is not None}
 
 
-def definitions(pairs: list[str] | None, linear: bool = False) -> dict[str, str] | None:
-    """A table of scene parameters from name=value pairs and --linear; None if there are none."""
+def definitions(pairs: list[str] | None, linear: bool = False, assets: str | None = None) -> dict[str, str] | None:
+    """A table of scene parameters from name=value pairs, --linear and --assets; None if there are none."""
     table = {"chart_linear": "1"} if linear else {}
+    table |= {"assets": assets} if assets is not None else {}
     for pair in pairs or []:
         name, equals, value = pair.partition("=")
         if not (name and equals):

@@ -12,15 +12,16 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.arrays import Array, first_where
+from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, did_you_mean, invalid, names_in
 from pixsim.base.files import digest_of
 from pixsim.light import spectral
 from pixsim.light.exr import read_channels
 from pixsim.light.spectral import HIGH_NM, LOW_NM, VISIBLE, WHITE_LAMPS, Span, Spectrum, grid_nm, tabulated
 from pixsim.optics.camera import Camera
+from pixsim.scene.job import AssetFile
 from pixsim.scene.mitsuba import evaluate_reflection, evaluate_spectrum, mitsuba_folder, warnings_of
-from pixsim.scene.textures import EIGHT_BIT, METAL_BY_NAME, check_share, has_colour
+from pixsim.scene.textures import EIGHT_BIT, METAL_BY_NAME, check_texels
 from pixsim.scene.tree import Node, SpectrumTable, Tree, children, nodes_of, plain
 
 # The property with the spectrum of each stock emitter.
@@ -615,7 +616,7 @@ MAP_NAMES = ("alpha", "alpha_u", "alpha_v", "roughness", "metallic", "anisotropi
 
 
 def named_files(state: Tree) -> list[Path]:
-    """Return the files of all nodes, which are inspected: pictures, meshes and volumes."""
+    """Return the files of all nodes: pictures, meshes and volumes."""
     return [_file_of(node) for node in state.nodes if "filename" in node]
 
 
@@ -623,87 +624,72 @@ def _file_of(node: Node) -> Path:
     return Path(str(node["filename"]))
 
 
-KEPT_PICTURES, MAX_KEPT_BYTES = 4, 1 << 24
-_kept: dict[str, dict[str, NDArray[np.float32]]] = {}
-_sound: set[str] = set()  # digests of pictures whose texels are all finite, and 0 or more
-
-
-def _channels_of(path: Path, digest: str) -> dict[str, NDArray[np.float32]]:
-    """Return the channels of an EXR, not to be changed; the last small ones are kept, since a render asks several times."""
-    channels = _kept.pop(digest, None) or read_channels(path)[0]
-    if sum(texels.nbytes for texels in channels.values()) <= MAX_KEPT_BYTES:
-        _kept[digest] = channels
-        while len(_kept) > KEPT_PICTURES:
-            del _kept[next(iter(_kept))]
-    return channels
-
-
-def check_textures(state: Tree) -> None:
-    """Raise PixsimError for NaN, infinite and negative texels, which Mitsuba would interpolate into their neighbours."""
-    maps_or_weights: set[int] = set()  # textures of normals, bumps, opacity, weights, roughness
+def asset_files(state: Tree) -> tuple[AssetFile, ...]:
+    """Return the files of all nodes, with what they must be for what they are used."""
+    maps: set[int] = set()
     others: set[int] = set()
-    shares: dict[int, str] = {}  # textures of reflectances
+    shares: dict[int, str] = {}
     for node in state.nodes:
         for name, index in children(node, state).items():
+            (maps if _takes_map(node, name) else others).add(index)
             if node.kind == "BSDF" and (name.endswith(("reflectance", "transmittance")) or name == "base_color"):
                 for part in (index, *children(state.nodes[index], state).values()):  # of a checkerboard
                     shares[part] = f"{node.plugin}.{name}"
-            is_map = node.plugin in MAPS or name in MAP_NAMES
-            (maps_or_weights if is_map else others).add(index)
-            if is_map:
-                _check_map(state.nodes[index], node, name)
-            elif node.plugin in METALS and name in ("eta", "k"):
-                _check_index(state.nodes[index], node, name)
-    maps = maps_or_weights - others
-    files = {index: _file_of(node) for index, node in nodes_of(state, "Texture") if "filename" in node}
-    raw = {path for index, path in files.items() if is_neutral(state.nodes[index]) and index not in maps}
-    numbers = {path for index, path in files.items() if index in maps}
-    named = {files[index]: name for index, name in shares.items() if index in files}
-    for path in named_files(state):
-        if path in numbers and path not in raw:
-            continue
-        what = f"texture '{path}'"
-        if path in raw and path.suffix.lower() in EIGHT_BIT:
-            raise invalid(what, f"{path.suffix} with raw = true", "a linear float32 EXR of one channel, as written by pixsim chart")
-        if path.suffix.lower() == ".exr":
-            digest = digest_of(path)
-            channels = _channels_of(path, digest)
-            if path in raw and len(channels) > 1:
-                raise invalid(what, f"channels {', '.join(names_in(channels))} with raw = true", "one channel, Y")
-            for name, texels in channels.items() if digest not in _sound else ():
-                if at := first_where(~(np.isfinite(texels) & (texels >= 0))):
-                    row, column = at
-                    got = f"{texels[row, column]} at row {row}, column {column} of channel {name}"
-                    raise invalid(what, got, "finite texels of 0 or more")
-            _sound.add(digest)
-            if path in named:
-                check_share(max(float(texels.max()) for texels in channels.values()), named[path], f"'{path.name}'")
+    files = []
+    for index, node in enumerate(state.nodes):
+        if "filename" in node:
+            path, has_light = _file_of(node), node.kind != "Shape" and index not in maps - others
+            shape_index = int(node.get("shape_index", 0))
+            files.append(AssetFile(str(path), digest_of(path), node.plugin, shape_index, has_light, shares.get(index, "")))
+    return tuple(files)
+
+
+def _takes_map(node: Node, name: str) -> bool:
+    """Return whether a property of a node takes any numbers, such as normals and roughness, not light or reflectance."""
+    return node.plugin in MAPS or name in MAP_NAMES
+
+
+KEPT_PICTURES, MAX_KEPT_BYTES = 4, 1 << 24
+_kept: dict[str, NDArray[np.float32]] = {}
+
+
+def _texels_of(path: Path, digest: str) -> NDArray[np.float32]:
+    """Return the texels of a neutral EXR, not to be changed; the last small ones are kept, since a render asks several times.
+
+    Raises PixsimError if it has several channels, or texels that are no light.
+    """
+    texels = _kept.pop(digest, None)
+    if texels is None:
+        channels = read_channels(path)[0]
+        if len(channels) > 1:
+            raise invalid(f"texture '{path}'", f"channels {', '.join(names_in(channels))} with raw = true", "one channel, Y")
+        texels = next(iter(channels.values()))
+        check_texels(path, texels)
+    if texels.nbytes <= MAX_KEPT_BYTES:
+        _kept[digest] = texels
+        while len(_kept) > KEPT_PICTURES:
+            del _kept[next(iter(_kept))]
+    return texels
 
 
 RAW = 'Write <boolean name="raw" value="true"/> in its <bitmap>.'
 
 
-def _check_map(texture: Node, owner: Node, name: str) -> None:
-    """Raise PixsimError for a bitmap that Mitsuba would convert to spectra where `owner` asks for its numbers."""
-    if texture.plugin != "bitmap":
-        return
-
-    path = _file_of(texture)
-    what = f"{owner.plugin} '{path.name}'" if owner.plugin in MAPS else f"{owner.plugin}.{name} '{path.name}'"
-    colour = has_colour(path)
-    if owner.plugin == "normalmap" and not colour:
-        raise invalid(what, "a picture of one channel", "one of three: the x, y and z of normals")
-    if colour and not texture.get("raw", False):
-        hint = f"{RAW} For a colour elsewhere, write another <bitmap> of this file."
-        raise invalid(what, "a colour picture without raw = true", "numbers as they are in the file", hint)
-
-
-def _check_index(texture: Node, owner: Node, name: str) -> None:
-    """Raise PixsimError for the refractive index of a metal as an RGB colour."""
-    coloured_bitmap = texture.plugin == "bitmap" and not is_neutral(texture) and has_colour(_file_of(texture))
-    if texture.plugin == "srgb" or coloured_bitmap:
-        allowed = "a number, a spectrum, or a bitmap with raw = true"
-        raise invalid(f"{owner.plugin}.{name}", f"a colour, of a texture {texture.plugin}", allowed, METAL_BY_NAME)
+def check_textures(state: Tree) -> None:
+    """Raise PixsimError for textures that Mitsuba would take for colours where numbers are needed, or the reverse."""
+    for node in state.nodes:
+        for name, index in children(node, state).items():
+            texture = state.nodes[index]
+            is_bitmap, is_raw = texture.plugin == "bitmap", is_neutral(texture)
+            if is_bitmap and not is_raw and node.plugin == "normalmap":
+                what = f"normalmap '{_file_of(texture).name}'"
+                raise invalid(what, "a picture without raw = true", "numbers as they are in the file", RAW)
+            if node.plugin in METALS and name in ("eta", "k") and (texture.plugin == "srgb" or (is_bitmap and not is_raw)):
+                allowed = "a number, a spectrum, or a bitmap with raw = true"
+                raise invalid(f"{node.plugin}.{name}", f"a colour, of a texture {texture.plugin}", allowed, METAL_BY_NAME)
+            if is_raw and not _takes_map(node, name) and _file_of(texture).suffix.lower() in EIGHT_BIT:
+                allowed = "a linear float32 EXR of one channel, as written by pixsim chart"
+                raise invalid(f"texture '{_file_of(texture)}'", f"{_file_of(texture).suffix} with raw = true", allowed)
 
 
 BEYOND: dict[str, Literal["edge", "wrap", "symmetric"]] = {"clamp": "edge", "repeat": "wrap", "mirror": "symmetric"}
@@ -754,5 +740,5 @@ def emitted_picture(state: Tree, emitter: Node) -> EmittedPicture | None:
     nearest = node.get("filter_type", "bilinear") == "nearest"
     beyond = BEYOND.get(str(node.get("wrap_mode", "repeat"))) if set(node) <= KNOWN_OF_BITMAPS else None
     source = digest_of(path)
-    texels = next(iter(_channels_of(path, source).values())).astype(float)
+    texels = _texels_of(path, source).astype(float)
     return EmittedPicture(texels, float(np.sign(to_uv[0, 0])), float(np.sign(to_uv[1, 1])), beyond, source, nearest)

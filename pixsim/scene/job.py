@@ -86,6 +86,24 @@ class Passes:
 
 
 @dataclass(frozen=True)
+class AssetFile:
+    """A picture, mesh or volume that a scene names.
+
+    plugin : that reads it
+    shape_index : which mesh of a serialized file
+    has_light : whether its texels are light or reflectances, finite and not negative
+    share : the property that is a share of light and has these texels; empty for others
+    """
+
+    path: str
+    digest: str
+    plugin: str
+    shape_index: int = 0
+    has_light: bool = False
+    share: str = ""
+
+
+@dataclass(frozen=True)
 class TraceJob:
     """A scene to trace, under one group of lamps after another.
 
@@ -97,7 +115,7 @@ class TraceJob:
     tables : (node, property, spectrum) of the tables of surfaces that a spectrum takes the place of
     size : (rows, columns) of the film for passes that are traced together
     passes : of each scene; None where each pass has a film of its own
-    files : digests of the files that the text names
+    files : that the text names
     """
 
     variant: str
@@ -109,7 +127,7 @@ class TraceJob:
     tables: tuple[tuple[int, str, dict[str, Any]], ...]
     size: tuple[int, int] = (1, 1)
     passes: tuple[Passes | None, ...] = ()
-    files: tuple[str, ...] = ()
+    files: tuple[AssetFile, ...] = ()
 
     @property
     def of_scenes(self) -> tuple[object, ...]:

@@ -105,7 +105,7 @@ def speaking_mitsuba(variant: str) -> Iterator[ModuleType]:
             raise KeyboardInterrupt from None
         # Dr.Jit says "(see above)" of an error in a kernel, whose cause has the words.
         cause = next((cause for cause in chain if "(see above)" not in str(cause)), error)
-        text = re.sub(r"\[\w+\.cpp:\d+\] ", "", str(cause).strip())
+        text = re.sub(r'\[\w+\.(cpp|h):\d+\] |At dictionary node "root": ', "", str(cause).strip())
         raise PixsimError("Mitsuba cannot load or render the scene: " + " ".join(text.split())) from None
     finally:
         mi.set_file_resolver(before)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 from functools import cached_property, partial
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +18,6 @@ from pixsim.base import cache, mapped
 from pixsim.base.arrays import Array, strips
 from pixsim.base.bounds import Whole
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.files import digest_of
 from pixsim.base.mapped import release, zeros
 from pixsim.base.notes import Note, warn
 from pixsim.base.progress import Progress
@@ -32,7 +32,7 @@ from pixsim.optics.lens_defocus import DEPTHS, finite_or_none
 from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.scene import white_plate
 from pixsim.scene.bands import Fit, Pulse
-from pixsim.scene.contents import named_files, warnings_of_skies
+from pixsim.scene.contents import asset_files, warnings_of_skies
 from pixsim.scene.guard.tracer import Tracer, tracer_of
 from pixsim.scene.job import Lamps, Passes, TraceJob, irregular, regular
 from pixsim.scene.plan import Plan, WhitePlate, make_render_plan
@@ -238,11 +238,11 @@ class Renderer:
         )
         tables += tuple((index, name, irregular(table.nodes_nm, table.values)) for index, name, table in plan.light.held)
         passes = tuple(passes_of(light.fit, plan.light.bands.span) for light in plan.light.lamps)
-        files = tuple(digest_of(path) for path in named_files(state))
+        files = asset_files(state)
         self.job = TraceJob(
             scene.choice.variant, text.text, lamps, sensor, lens, plan.samples.integrator, tables, self.field, passes, files
         )
-        self.packaged, self.ends_at_s = is_packaged(text), ends_at_s
+        self.packaged, self.ends_at_s = is_packaged(text, [Path(file.path) for file in files]), ends_at_s
         self.cache = CachedRenders(hash_of_job(scene, state, camera, plan, seed)) if keep else None
         self.sees_infinity = any(node.plugin in PICTURES_AT_INFINITY for _, node in nodes_of(state, "Emitter"))
         self.begun = False  # whether there is a run of the variant

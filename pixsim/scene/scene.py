@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from itertools import chain
@@ -16,7 +17,7 @@ from pixsim.base import caller
 from pixsim.base.bounds import LARGEST, SMALLEST, brief
 from pixsim.base.door import checked_methods
 from pixsim.base.errors import PixsimError, did_you_mean, invalid
-from pixsim.base.files import digest_of, missing
+from pixsim.base.files import cache_folder, digest_of, missing
 from pixsim.base.problems import names_meant
 from pixsim.base.records import content_hash
 from pixsim.light.quantities import EMITTER_SCALE, ILLUMINANCE, LUMINANCE, FilmSamples
@@ -27,10 +28,11 @@ from pixsim.optics.lens_options import LensOptions
 from pixsim.scene import charts
 from pixsim.scene.contents import Beyond, check_textures, check_transforms, find_lamp, find_lamps, is_neutral, named_files, white_of
 from pixsim.scene.film import FILM_ROUNDING
+from pixsim.scene.guard.files import ASSETS
 from pixsim.scene.guard.inspector import REASONS, SceneText, open_scene
 from pixsim.scene.illuminance import strength
 from pixsim.scene.own_chart import LINEAR_SUFFIXES, SUFFIXES, OwnChart, is_own_chart
-from pixsim.scene.packaged import packaged_scenes
+from pixsim.scene.packaged import packaged_folder, packaged_scenes
 from pixsim.scene.target import Target
 from pixsim.scene.tree import Node, SpectrumTable, Tree, children, nodes_of, parse_tree, plain
 from pixsim.scene.variants import variant as variants
@@ -42,6 +44,7 @@ CHART, CHART_LINEAR, TARGET_FILE, BEYOND_TABLES = "chart", "chart_linear", "targ
 PARAMETERS_OF_CHARTS = {"csf.exr": (charts.MAX_LP_PER_MM,), TARGET_FILE: tuple(Target.model_fields)}
 CHART_HALF_WIDTH, CHART_HALF_HEIGHT = "chart_half_width", "chart_half_height"
 ALLOWED_RESOLUTION = (1, 16384)  # samples along a side of a film
+ALLOWED_SAMPLES = (1, 1 << 20)  # for a film cell
 LENS_PARAMETERS = ("fov", "aperture_radius", "focus_distance")
 WHITE = "white_cd_per_m2"  # a <default> that only pixsim reads: the luminance that the display shows as white
 FILM_35_MM = (36.0, 24.0)  # the format of Mitsuba's `focal_length`
@@ -246,9 +249,14 @@ def _packaged_texts() -> frozenset[str]:
     return frozenset(path.read_text(encoding="utf-8") for path in packaged_scenes().values())
 
 
-def is_packaged(text: SceneText) -> bool:
-    """Return whether a scene's XML equals that of a packaged one; its parameters may differ."""
-    return text.content in _packaged_texts()
+def is_packaged(text: SceneText, files: Sequence[Path]) -> bool:
+    """Return whether a scene's XML equals that of a packaged one, and its files are packaged or made by pixsim.
+
+    files : absolute paths of those that its text names
+    """
+    folders = [Path(os.path.realpath(folder)) for folder in (packaged_folder(), cache_folder())]
+    places = [Path(os.path.realpath(file)) for file in files]
+    return text.content in _packaged_texts() and all(any(place.is_relative_to(one) for one in folders) for place in places)
 
 
 def scene_path(scene: str | os.PathLike[str]) -> Path:
@@ -281,7 +289,8 @@ def load_scene(
         `max_lp_per_mm` sets the highest frequency on the sensor of the CSF chart, and the fields of `scene.target.Target` set
         what the scene target shows, on a background of `luminance_cd_per_m2`; `chart` may name a picture
         (`scene.own_chart.read_luminance`), decoded as sRGB unless `chart_linear` is true; `beyond_tables`, "hold" or "zero", says
-        what surfaces are where lamps shine and their spectra end
+        what surfaces are where lamps shine and their spectra end; `assets` names a folder whose files the scene may name, besides
+        those of its own
 
     Raises PixsimError if the file or a texture is missing or damaged, a parameter is unknown, there is no sensor or more than
     one, the sensor is not a thin lens, or LLVM is too old.
@@ -296,7 +305,7 @@ def load_scene(
     beyond = _beyond(parameters.pop(BEYOND_TABLES, None))
     given = {name: str(value) for name, value in parameters.items()}
     picture = _picture_of_chart(path, given)
-    text = open_scene(path, given, picture)
+    text = open_scene(path, given)
     names = text.names
     lux = None if ILLUMINANCE in names else given.pop(ILLUMINANCE, None)
     if lux is not None and luminance is not None:
@@ -311,7 +320,7 @@ def load_scene(
     )
     settable = {name for name, needed in also if needed in names | text.defaults.keys()}
     own_chart = Path(text.defaults.get(CHART, "")).name if CHART in names and CHART not in given else ""
-    settable |= set(PARAMETERS_OF_CHARTS.get(own_chart, ()))
+    settable |= {ASSETS, *PARAMETERS_OF_CHARTS.get(own_chart, ())}
     allowed = names | settable
     only_here[ILLUMINANCE] = lux
     stated = [name for name, value in only_here.items() if value is not None]
@@ -516,8 +525,12 @@ def check_resolution(side: int) -> None:
 
 
 def sample_count(state: Tree, sensor: Node) -> int:
-    """Return the samples per film cell of the sensor's sampler."""
-    return _whole(_child(state, sensor, "Sampler"), "sample_count", 4)
+    """Return the samples per film cell of the sensor's sampler. Raises PixsimError if they are out of range."""
+    count = _whole(_child(state, sensor, "Sampler"), "sample_count", 4)
+    low, high = ALLOWED_SAMPLES
+    if not low <= count <= high:
+        raise invalid("sample_count", count, f"{low} to {high}")
+    return count
 
 
 def _child(state: Tree, sensor: Node, kind: str) -> Node | None:
@@ -538,7 +551,7 @@ def fov_x_deg(sensor: Node, aspect: float = 1.0) -> float:
     """Return the horizontal field of view, from `fov` along its axis or `focal_length` (35 mm equivalent)."""
     axis = str(sensor.get("fov_axis", "x"))
     if "focal_length" in sensor:
-        equivalent_mm = float(str(sensor["focal_length"]).removesuffix("mm"))
+        equivalent_mm = _positive("focal_length", str(sensor["focal_length"]).removesuffix("mm"))
         half = math.hypot(*FILM_35_MM) / 2 / equivalent_mm
         axis = "diagonal"
     elif "fov" in sensor:

@@ -29,7 +29,7 @@ FUNCTIONS: dict[str, tuple[Callable[..., Any], type[BaseModel] | None]] = {
 }
 # Options whose argument has another name: -D name=value and --linear are entries of `parameters`.
 RENAMED = {option.replace("-", "_"): name for name, option in OPTIONS.items()}
-RENAMED |= {"define": "parameters", "linear": "parameters", "yes": "agreed"}
+RENAMED |= {"define": "parameters", "linear": "parameters", "assets": "parameters", "yes": "agreed"}
 FOR_THE_TERMINAL = {
     "json": "the result has `as_dict`",
     "out": "the result is written where one likes, by `write`; tested below",

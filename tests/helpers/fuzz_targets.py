@@ -211,6 +211,6 @@ def _property(draw: st.DrawFn, rule: Allowed, name: str, deep: int) -> str:
         return f'<transform name="{name}">{draw(st.sampled_from(STEPS[: 3 if right else None]))}</transform>'
     value = RIGHT.get(tag, "1") if right else draw(st.sampled_from(ODD_NUMBERS))
     if right and tag == "string":
-        files = {"picture": "chart.exr", "mesh": "a.ply", "volume": "a.vol", "metal": "Au"}
-        value = files[rule.file] if rule.file else rule.words[0] if rule.words else "vertex_c" if name == "name" else "1.5"
+        files = {"texture": "chart.exr", "mesh": "a.ply", "volume": "a.vol", "metal": "Au"}
+        value = files[rule.file] if rule.file else "vertex_c" if name == "name" else "1.5"
     return f'<{tag} name="{name}" value="{value}"/>'

@@ -402,7 +402,7 @@ def test_find_surfaces_nested_bsdfs_are_included(tmp_path):
 # --- Unknown spectra and short tables ---
 
 VERTEX_COLOURS = '<texture type="mesh_attribute" name="reflectance"><string name="name" value="vertex_c"/></texture>'
-INDEX_PICTURE = bitmap("false").replace('name="reflectance"', 'name="eta"')
+INDEX_PICTURE = bitmap("true").replace('name="reflectance"', 'name="eta"')
 UNKNOWN = {
     "principled": (bsdf("principled"), "a BSDF 'principled' of unknown spectra"),
     "within another": (bsdf("twosided", bsdf("principled")), "a BSDF 'principled'"),

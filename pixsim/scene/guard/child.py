@@ -30,6 +30,7 @@ from pixsim.base.caller import setting
 from pixsim.base.children import safe_variables
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.scene.job import OutOfTimeError, TraceJob
+from pixsim.scene.textures import check_share
 from pixsim.scene.variants.graphics import CUDA
 
 ENDED_S = 10.0  # in which a killed process ends
@@ -208,7 +209,9 @@ class ChildTracer:
         with child.lock:
             if child.loaded is not self.job:
                 child.loaded = None
-                child.ask({"job": asdict(self.job)}, self.ends_at_s())
+                reply = child.ask({"job": asdict(self.job)}, self.ends_at_s())
+                for file, highest in zip(self.job.files, reply["highest"], strict=True):
+                    check_share(float(highest), file.share, f"'{Path(file.path).name}'")
                 child.loaded = self.job
             reply = child.ask(request, self.ends_at_s())
             if picture is None:

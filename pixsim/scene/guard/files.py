@@ -4,10 +4,9 @@ Mitsuba's own parser recurses, blocks and allocates without bounds, and obeys en
 reads a file of XML: it gets the text that `written` makes of the tree. Includes, parameters and folders (<path>) are resolved
 here, in the order of Mitsuba, and are gone from the tree.
 
-An XML may include files in the scene's folder or the working directory, and in their subfolders. Only a parameter that the
-user sets may include other files, so that a downloaded scene cannot read the user's other folders. Textures, spectra and
-meshes may be anywhere, since scenes share them and their contents only enter the picture. All files must be regular files
-of a bounded size.
+A scene may name files in its folder, in packaged data, and in a folder or file that a parameter of the user's names, such as
+`assets`: a downloaded scene cannot read the user's other folders. This holds for where links lead, and for includes as for
+textures, spectra and meshes. All files must be regular files of a bounded size.
 
 A DOCTYPE is an error: its entities can expand without limit and can read files, and Mitsuba ignores them.
 """
@@ -17,14 +16,18 @@ from __future__ import annotations
 import os
 import re
 from dataclasses import dataclass, field
+from functools import cached_property
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from xml.parsers import expat
 
-from pixsim.base.errors import PLAIN_WORD, PixsimError, excerpt, invalid, names_in, quoted
-from pixsim.base.files import is_utf8, read_text
+from pixsim.base.caller import parameter
+from pixsim.base.errors import PLAIN_WORD, PixsimError, excerpt, invalid, names_in
+from pixsim.base.files import is_utf8, missing, read_text
+from pixsim.scene.packaged import packaged_folder
 
 ALLOWED = "a readable XML file"
+ASSETS = "assets"  # the parameter of pixsim that names a folder of files for scenes
 MAX_XML = 8 << 20  # bytes of all files in total; repeated includes count each time
 MAX_DEPTH = 24  # of nested elements; Mitsuba's two-sided materials double the work at each level
 MAX_INCLUDES = 64
@@ -91,6 +94,44 @@ class SceneFiles:
     def folder(self) -> Path:
         return Path(os.path.realpath(self.path)).parent
 
+    @property
+    def assets(self) -> list[Path]:
+        """The folder that the parameter `assets` names, in the scene's folder or the working directory; none without it."""
+        name = self.given.get(ASSETS)
+        return [] if name is None else [place for place in (self.folder / name, Path(name)) if os.path.isdir(place)]
+
+    @cached_property
+    def roots(self) -> tuple[Path, ...]:
+        """The folders and files that the scene may name, without links: its own folder, packaged data, what the user names."""
+        places = [os.path.join(folder, value) for value in self.given.values() if value for folder in (self.folder, "")]
+        named = [place for place in places if os.path.exists(place)]
+        return tuple(Path(os.path.realpath(place)) for place in (self.folder, packaged_folder(), *named))
+
+    def locate(self, name: str, including: Path, what: str, place: str) -> Path:
+        """Return the absolute path of a file that the scene names.
+
+        including : folder of the XML that names it
+        what, place : of the element that does, for messages
+
+        Raises PixsimError if there is none, and for one that is not within `roots`.
+        """
+        folders = (*self.folders, including, self.folder, *self.assets, Path(), packaged_folder())
+        allowed = f"a file in '{self.folder}', its subfolders or the packaged scenes"
+        if not name or "\0" in name:
+            raise invalid(what, f"{name!r} in {place}", "the name of a file")
+        candidates = [folder / name for folder in folders]
+        file = next((path for path in candidates if os.path.lexists(path)), None)
+        if file is None:
+            got = f"'{name}', which does not exist" if any(path.parent.is_dir() for path in candidates) else missing(Path(name))
+            raise invalid(what, f"{got}, in {place}", allowed)
+        absolute, target = Path(os.path.abspath(file)), Path(os.path.realpath(file))
+        if not any(target.is_relative_to(root) for root in self.roots):
+            hint = f"If you trust the scene with it, name its folder: {parameter(ASSETS, 'FOLDER')}."
+            raise invalid(what, f"'{absolute}', of another folder, in {place}", allowed, hint)
+        if not is_utf8(absolute):
+            raise invalid(what, f"'{absolute}'", "a path in UTF-8, for Mitsuba", "Rename the file or its folder.")
+        return absolute
+
     def put_in(self, value: str, path: Path, line: int) -> str:
         """Substitute the parameters of an attribute as Mitsuba does: the longest name that fits, each once."""
         if "$" not in value:
@@ -138,6 +179,8 @@ def read_scene(path: Path, given: dict[str, str]) -> SceneFiles:
     if bad := next((name for name, value in given.items() if "\0" in value), None):
         raise invalid(f"scene parameter '{bad}'", repr(given[bad]), "text without NUL")
     scene = SceneFiles(path, given, _values=dict(given))
+    if ASSETS in given and not scene.assets:
+        raise invalid(f"scene.{ASSETS}", f"'{given[ASSETS]}'", "a folder, whose files the scene may name")
     scene.root = _read(path, scene, 0, 0)
     return scene
 
@@ -195,7 +238,7 @@ def _read(path: Path, scene: SceneFiles, includes_deep: int, deep: int) -> Scene
         if tag == "default":
             _take_default(attributes, path, scene)
         elif tag == "include":
-            file = _included(attributes.get("filename", ""), written.get("filename", ""), path, line, scene, includes_deep)
+            file = _included(attributes.get("filename", ""), path, line, scene, includes_deep)
             root = _read(file, scene, includes_deep + 1, deep + len(open_elements) - 1)
             if root.tag != "scene":  # an object takes the name that the include gives it
                 named = {key: value for key, value in root.attributes.items() if key not in ("version", "name")}
@@ -269,27 +312,13 @@ def _take_folder(name: str, path: Path, scene: SceneFiles) -> None:
     scene.folders.insert(0, Path(os.path.abspath(folder)))
 
 
-def _included(name: str, written: str, path: Path, line: int, scene: SceneFiles, includes_deep: int) -> Path:
-    """Return the file that Mitsuba would include, from the folder of the including file, the scene, or the working directory."""
+def _included(name: str, path: Path, line: int, scene: SceneFiles, includes_deep: int) -> Path:
+    """Return the file that a line of an XML includes."""
     scene._includes += 1
     if scene._includes > MAX_INCLUDES or includes_deep >= MAX_INCLUDE_DEPTH:
         got = "includes nested too deep" if includes_deep >= MAX_INCLUDE_DEPTH else f"more than {MAX_INCLUDES} includes"
         raise invalid(f"scene '{path}'", got, f"at most {MAX_INCLUDES}, nested {MAX_INCLUDE_DEPTH} deep")
-    candidates = [folder / name for folder in (*scene.folders, path.parent, scene.folder, Path())]
-    file = next((place for place in candidates if os.path.lexists(place)), candidates[0])
-    inside = any(Path(os.path.realpath(file)).is_relative_to(os.path.realpath(folder)) for folder in (scene.folder, Path()))
-    if not (inside or any(f"${parameter}" in written for parameter in scene.given)):
-        hint = "Put the file into the scene's folder, or set it by a parameter, -D part=FILE."
-        raise invalid(
-            f"scene '{path}'",
-            f"an <include> of another file, {quoted(Path(name).name)}",
-            f"files in '{scene.folder}' and its subfolders",
-            hint,
-        )
-    if not os.path.lexists(file):
-        got = f"an <include> of '{file}', which does not exist, in line {line} of '{path.name}'"
-        raise invalid("scene", got, f"a file in '{scene.folder}', the working directory or their subfolders")
-    return file
+    return scene.locate(name, path.parent, "include", f"line {line} of '{path.name}'")
 
 
 def written(root: SceneElement) -> tuple[str, tuple[str, ...]]:
@@ -304,7 +333,7 @@ def written(root: SceneElement) -> tuple[str, tuple[str, ...]]:
 
 
 def _write(node: SceneElement, lines: list[str], places: list[str]) -> None:
-    attributes = "".join(f' {name}="{_escaped(value)}"' for name, value in node.attributes.items())
+    attributes = "".join(f' {name}="{escaped(value)}"' for name, value in node.attributes.items())
     places.append(node.place)
     if not node.children:
         lines.append(f"<{node.tag}{attributes}/>\n")
@@ -316,7 +345,7 @@ def _write(node: SceneElement, lines: list[str], places: list[str]) -> None:
     places.append(node.place)
 
 
-def _escaped(value: str) -> str:
+def escaped(value: str) -> str:
     # Mitsuba would take a dollar for a parameter unless a backslash is before it.
     return TO_ESCAPE.sub(lambda found: f"&#{ord(found[0])};", value.replace("$", "\\$"))
 

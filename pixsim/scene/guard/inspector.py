@@ -1,13 +1,12 @@
-"""Inspect a scene: what its XML says, and the files that it names, before Mitsuba sees any of it.
+"""Inspect a scene: what its XML says, and which files it names, before Mitsuba sees any of it.
 
-The result is a text that pixsim writes anew, of elements that `plugins.PLUGINS` allows. Each file in it is an absolute path
-that was inspected; tables of spectra are part of the text.
+The result is a text that pixsim writes anew, of elements that `plugins.PLUGINS` allows. Each file in it is an absolute path of a
+regular file; tables of spectra are part of the text. What is in pictures, meshes and volumes the process that renders checks.
 """
 
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -16,12 +15,11 @@ from pathlib import Path
 from pixsim.base.errors import did_you_mean, excerpt, invalid, quoted
 from pixsim.light.spectral import HIGH_NM, LOW_NM
 from pixsim.light.tables import unit_hint
-from pixsim.scene.guard.assets import NUMBER, found, inspect_asset, metals, spectrum_value
+from pixsim.scene.guard.assets import NUMBER, check_asset, metals, spectrum_value
 from pixsim.scene.guard.files import SceneElement, SceneFiles, check_references, read_scene, written
 from pixsim.scene.guard.plate import with_plate
-from pixsim.scene.guard.plugins import LARGEST, MAX_ELEMENTS, PLUGINS, SMALLEST, Allowed, Plugin
+from pixsim.scene.guard.plugins import LARGEST, PLUGINS, Allowed, Plugin
 from pixsim.scene.guard.strength import with_strength
-from pixsim.scene.packaged import packaged_folder
 from pixsim.scene.textures import check_share
 
 # Element -> attributes that it must have, and others.
@@ -47,6 +45,7 @@ OF_OBJECTS = ("type",), ("id", "name")
 PROPERTY = re.compile(r"[a-z]{1,16}(_[a-z]{1,16}){0,3}[0-9]?")
 STEPS_OF_TRANSFORM = ("translate", "rotate", "scale", "lookat", "matrix")
 MAX_NAME = 256
+ANY = -LARGEST, LARGEST
 MAX_TABLES = 16 << 20  # characters of all files of spectra, which become part of the text
 LINE_OF_TEXT = re.compile(r"\bAt string \(line (\d{1,9}), col \d{1,9}\)")  # as Mitsuba names an element of a text
 WHOLE = re.compile(r"\s*-?\d{1,18}\s*")
@@ -82,17 +81,10 @@ class SceneText:
         return LINE_OF_TEXT.sub(place, message)
 
 
-def open_scene(
-    path: Path,
-    given: dict[str, str],
-    unread: Path | None = None,
-    strength: float | None = None,
-    plate: Sequence[float] | None = None,
-) -> SceneText:
+def open_scene(path: Path, given: dict[str, str], strength: float | None = None, plate: Sequence[float] | None = None) -> SceneText:
     """Return a scene's text for Mitsuba.
 
     given : parameters that the user sets
-    unread : a picture that will be replaced before Mitsuba builds the scene
     strength : factor on the light of all emitters
     plate : transform of a white plate that is added to the scene, 16 numbers, row by row
 
@@ -100,7 +92,7 @@ def open_scene(
     """
     files = read_scene(path, given)
     assert files.root is not None
-    inspector = _Inspector(files, unread)
+    inspector = _Inspector(files)
     root = inspector.scene(files.root)
     root = root if strength is None else with_strength(root, strength)
     root = root if plate is None else with_plate(root, plate)
@@ -111,12 +103,11 @@ def open_scene(
 class _Inspector:
     """The state of a judgement: elements so far, and what refers to what."""
 
-    def __init__(self, files: SceneFiles, unread: Path | None) -> None:
-        self.files, self.unread = files, unread
+    def __init__(self, files: SceneFiles) -> None:
+        self.files = files
         self.left_of_tables = MAX_TABLES
         self.shares: list[int] = []  # textures that are a share of the light, as reflectances are
         self.highest: dict[int, list[tuple[float, str, str]]] = {}  # numbers of textures: (the highest, of what, its place)
-        self.counts: Counter[str] = Counter()
         self.kinds: list[str] = []  # of each object, in the order of the text
         self.ids: dict[str, int] = {}
         self.children: list[list[int]] = []
@@ -161,12 +152,6 @@ class _Inspector:
         """Return an object with its children inspected."""
         _check_attributes(node, *OF_OBJECTS)
         name = node.attributes["type"]
-        for counted in {kind, name} & MAX_ELEMENTS.keys():
-            self.counts[counted] += 1
-            if self.counts[counted] > MAX_ELEMENTS[counted]:
-                raise invalid(
-                    "scene", f"more than {MAX_ELEMENTS[counted]} elements of '{counted}'", f"up to {MAX_ELEMENTS[counted]}"
-                )
         plugin = PLUGINS[kind].get(name)
         if plugin is None:
             hint = did_you_mean(name, PLUGINS[kind]) or REASONS.get(kind, "")
@@ -233,7 +218,7 @@ class _Inspector:
             return node
         if node.children:
             raise invalid(what, f"an element in {node.children[0].place}", "no element within it")
-        return self.value(node, rule, what, of, owner)
+        return self.value(node, rule, what, owner)
 
     def unknown(self, name: str, node: SceneElement, parent: str, plugin: Plugin, got: str) -> None:
         known = [*plugin.properties, *(f"<{kind}>" for kind in plugin.holds)]
@@ -241,7 +226,7 @@ class _Inspector:
             parent, f"{got} in {node.place}", ", ".join(known) or "nothing within it", did_you_mean(name, plugin.properties)
         )
 
-    def value(self, node: SceneElement, rule: Allowed, what: str, of: SceneElement, owner: int) -> SceneElement:
+    def value(self, node: SceneElement, rule: Allowed, what: str, owner: int) -> SceneElement:
         """Return a property of an object, `owner`, with its value inspected, and its file found."""
         attributes = node.attributes
         value = attributes.get("value", "")
@@ -257,31 +242,29 @@ class _Inspector:
                 if value.lower() not in FLAGS:
                     raise invalid(what, f"{excerpt(value, typed=node.typed)} in {node.place}", " or ".join(FLAGS))
             case "rgb":
-                bounded = replace(rule, low=max(rule.low, 0.0), high=min(rule.high, 1.0)) if rule.rgb_of_surface else rule
-                highest = _check_numbers(_split(value), bounded, what, node, (1, 3))
+                highest = _check_numbers(_split(value), rule, what, node, (1, 3), (0.0, 1.0) if rule.rgb_of_surface else ANY)
             case "point" | "vector":
                 _check_vector(node, what, all_three=True)
             case "spectrum":
                 if bool(value) == ("filename" in attributes):
                     raise invalid(what, f"<spectrum> in {node.place}", 'either value="…" or filename="…"')
                 if not value:
-                    folders = (*self.files.folders, node.file.parent, self.files.folder, Path(), packaged_folder())
-                    value = spectrum_value(found(attributes["filename"], folders, "spectrum", node.place, self.files.folder))
+                    value = spectrum_value(self.files.locate(attributes["filename"], node.file.parent, "spectrum", node.place))
                     self.left_of_tables -= len(value)
                     if self.left_of_tables < 0:
                         got = f"files of spectra of more than {MAX_TABLES} characters"
                         raise invalid("scene", got, f"up to {MAX_TABLES} in total", "Leave out wavelengths that change little.")
                 highest = _check_table(value, rule, what, node)
                 node = replace(node, attributes={"name": attributes["name"], "value": value})
-            case "string" if rule.pattern == "numbers":
+            case "string" if rule.has_numbers:
                 highest = _check_numbers(_split(value), rule, what, node, None)
             case "string":
-                return self.string(node, rule, what, of)
+                return self.string(node, rule, what)
         if self.kinds[owner] == "texture" and attributes["name"] in OF_TEXTURES:
             self.highest.setdefault(owner, []).append((highest, what, node.place))
         return node
 
-    def string(self, node: SceneElement, rule: Allowed, what: str, of: SceneElement) -> SceneElement:
+    def string(self, node: SceneElement, rule: Allowed, what: str) -> SceneElement:
         value = node.attributes["value"]
         if rule.file == "metal":
             if value not in metals():
@@ -289,23 +272,9 @@ class _Inspector:
                     what, f"{quoted(value, node.typed)} in {node.place}", ", ".join(metals()), did_you_mean(value, metals())
                 )
         elif rule.file:
-            what_file = "texture" if rule.file == "picture" else rule.file
-            folders = (*self.files.folders, self.files.folder, Path(), node.file.parent, packaged_folder())
-            path = found(value, folders, what_file, node.place, self.files.folder)
-            if path != self.unread:
-                indices = [
-                    child.attributes.get("value", "") for child in of.children if child.attributes.get("name") == "shape_index"
-                ]
-                shape_index = int(indices[0]) if indices and WHOLE.fullmatch(indices[0]) else 0
-                inspect_asset(path, rule.file, of.attributes["type"], shape_index)
+            path = self.files.locate(value, node.file.parent, rule.file, node.place)
+            check_asset(path, rule.file)
             return replace(node, attributes={**node.attributes, "value": str(path)})
-        elif rule.words is not None:
-            if value not in rule.words:
-                raise invalid(
-                    what, f"{quoted(value, node.typed)} in {node.place}", ", ".join(rule.words), did_you_mean(value, rule.words)
-                )
-        elif rule.pattern is None or not re.fullmatch(rule.pattern, value):
-            raise invalid(what, f"{excerpt(value, typed=node.typed)} in {node.place}", "a name or a number as Mitsuba has them")
         return node
 
 
@@ -337,23 +306,27 @@ def _check_attributes(node: SceneElement, needed: Iterable[str], others: Iterabl
             )
 
 
-def _check_numbers(texts: list[str], rule: Allowed, what: str, node: SceneElement, counts: tuple[int, ...] | None = (1,)) -> float:
+def _check_numbers(
+    texts: list[str],
+    rule: Allowed,
+    what: str,
+    node: SceneElement,
+    counts: tuple[int, ...] | None = (1,),
+    bounds: tuple[float, float] = ANY,
+) -> float:
     """Return the largest magnitude. Raises PixsimError if a text is no number within the bounds, or for a count not in `counts`."""
     if counts is not None and len(texts) not in counts:
         raise invalid(what, f"{len(texts)} numbers in {node.place}", " or ".join(map(str, counts)))
     values = []
     for text in texts:
         number = float(text) if NUMBER.fullmatch(text) else None
-        if number is None or not rule.low <= number <= rule.high:
-            bounds = "a number" if rule.high >= LARGEST else f"{rule.low:.10g} to {rule.high:.10g}"
+        if number is None or not bounds[0] <= number <= bounds[1]:
             got = excerpt(text, typed=node.typed) if number is None else f"'{text[:MAX_NAME]}'"
-            raise invalid(what, f"{got} in {node.place}", bounds)
+            raise invalid(what, f"{got} in {node.place}", "a number" if bounds == ANY else f"{bounds[0]:g} to {bounds[1]:g}")
         values.append(abs(number))
     highest = max(values, default=0.0)
     if rule.is_share:
         check_share(highest, what, node.place)
-    if 0 < highest < rule.smallest:
-        raise invalid(what, f"{highest:g} in {node.place}", f"0, or at least {SMALLEST:g}")
     return highest
 
 
@@ -366,7 +339,7 @@ def _check_table(value: str, rule: Allowed, what: str, node: SceneElement) -> fl
     if len(pairs) < 2 or any(len(pair) != 2 for pair in pairs):
         raise invalid(what, f"{excerpt(value, typed=node.typed)} in {node.place}", 'a number, or pairs such as "400:0.1, 700:0.2"')
     wavelengths = [pair[0] for pair in pairs]
-    _check_numbers(wavelengths, Allowed((), 0, LARGEST), what, node, None)
+    _check_numbers(wavelengths, Allowed(()), what, node, None, (0.0, LARGEST))
     if any(not float(one) < float(other) for one, other in pairwise(wavelengths)):
         raise invalid(what, f"wavelengths in {node.place} that do not rise", "rising wavelengths in nm")
     nm = [float(each) for each in wavelengths]

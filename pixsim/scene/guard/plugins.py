@@ -1,7 +1,7 @@
-"""The plugins of Mitsuba 3.9 that a scene may use, with the types and bounds of their properties.
+"""The plugins of Mitsuba 3.9 that a scene may use, with the types of their properties.
 
 What is not here is refused before Mitsuba sees it: plugins that pixsim cannot inspect (raw pointers, files of unknown layout,
-polarisation), names that would make Mitsuba load another file, and values that would crash it or keep it busy without an end.
+polarisation), and names that would make Mitsuba load another file. Whether a value is in its range Mitsuba judges, in the child.
 """
 
 from __future__ import annotations
@@ -10,20 +10,9 @@ from dataclasses import dataclass, field, replace
 
 from pixsim.scene.textures import METAL_BY_NAME
 
-LARGEST = 1e30  # of any number: float32 ends at 3.4e38
-SMALLEST = 1e-30  # of a spectrum or a scale that is not 0: below 1e-38 float32 has no full digits, and each operation is slow
-LIGHT_NM = (1.0, 1e5)
-MAX_DEPTH_OF_PATHS = 1 << 16
-MAX_ROULETTE = 256  # surfaces that light may meet before Russian roulette ends its path
-MAX_SAMPLES = 1 << 20
-MAX_SIDE = 16384  # samples of a film
-WHOLE_TAGS, NUMBER_TAGS = ("integer",), ("float", "integer")
+LARGEST = 1e30  # magnitude of any number: float32 ends at 3.4e38
+NUMBER_TAGS = ("float", "integer")
 COLOUR_TAGS = (*NUMBER_TAGS, "spectrum", "rgb")
-# Elements of each kind in a scene, or of one plugin. A lamp may need a render of its own.
-MAX_ELEMENTS = {"emitter": 512, "sensor": 64, "medium": 256, "volume": 256, "phase": 256, "integrator": 8}
-# Mitsuba compiles each instance for itself, in a time that grows with the square of their number.
-MAX_ELEMENTS |= {"instance": 512}
-MAX_ELEMENTS |= dict.fromkeys(("shape", "bsdf", "texture", "film", "sampler", "rfilter"), 4096)
 
 
 @dataclass(frozen=True)
@@ -31,24 +20,18 @@ class Allowed:
     """What a property may be.
 
     tags : elements that state it
-    low, high : bounds of its numbers
-    smallest : magnitude of the smallest number that is not 0
-    words : the values of a string; None for any that `pattern` matches
     kinds : plugins that it may be, besides
+    file : kind of the file that a string names: texture, mesh, volume; or metal, a table of Mitsuba's own
+    has_numbers : whether a string is a list of numbers
     rgb_of_surface : each number of an <rgb> is from 0 to 1, as Mitsuba has it where it makes a reflectance of them
     is_share : a share of the light, as a reflectance is: numbers above 1 are warned of, and those above 1.5 refused
-    file : kind of the file that it names: picture, mesh, volume; or metal, a table of Mitsuba's own
     instead : what to write in place of an element that is not allowed
     """
 
     tags: tuple[str, ...]
-    low: float = -LARGEST
-    high: float = LARGEST
-    smallest: float = 0.0
-    words: tuple[str, ...] | None = None
-    pattern: str | None = None
     kinds: tuple[str, ...] = ()
     file: str | None = None
+    has_numbers: bool = False
     rgb_of_surface: bool = False
     is_share: bool = False
     instead: str = ""
@@ -63,241 +46,161 @@ class Plugin:
     holds: tuple[str, ...] = ()
 
 
-def number(low: float = -LARGEST, high: float = LARGEST) -> Allowed:
-    return Allowed(NUMBER_TAGS, low, high)
-
-
-def whole(low: int, high: int) -> Allowed:
-    return Allowed(WHOLE_TAGS, low, high)
-
-
-def words(*names: str) -> Allowed:
-    return Allowed(("string",), words=names)
-
-
-def file(kind: str) -> Allowed:
-    return Allowed(("string",), file=kind)
-
-
-SCALE = Allowed(NUMBER_TAGS, smallest=SMALLEST)
-FLAG = Allowed(("boolean",))
-TRANSFORM = Allowed(("transform",))
-PLACE = Allowed(("point", "vector"))
-COLOUR = Allowed(COLOUR_TAGS, smallest=SMALLEST, kinds=("texture",))
+NUMBER, WHOLE, FLAG, WORD = Allowed(NUMBER_TAGS), Allowed(("integer",)), Allowed(("boolean",)), Allowed(("string",))
+TRANSFORM, PLACE = Allowed(("transform",)), Allowed(("point", "vector"))
+COLOUR = Allowed(COLOUR_TAGS, kinds=("texture",))
 SURFACE = replace(COLOUR, rgb_of_surface=True)
 SHARE = replace(SURFACE, is_share=True)
-NUMBERS = Allowed(("string",), smallest=SMALLEST, pattern="numbers")
+NUMBERS = Allowed(("string",), has_numbers=True)
 # A spectrum is refused later, with its reason: Mitsuba has one index for all wavelengths.
-INDEX = Allowed(("string", *COLOUR_TAGS), 0, 1e3, pattern=r"[\w .+-]{1,64}", kinds=("texture",))
-VOLUME = Allowed(COLOUR_TAGS, 0, smallest=SMALLEST, kinds=("volume",))
-METAL = Allowed(("string",), file="metal")
-
-
-def more(properties: dict[str, Allowed], *lists: dict[str, Allowed]) -> dict[str, Allowed]:
-    """Return the properties with those of the other lists."""
-    return {name: rule for each in (properties, *lists) for name, rule in each.items()}
-
-
-OF_EMITTERS = {"sampling_weight": number(0, 1e6), "to_world": TRANSFORM}
-OF_SHAPES = {"to_world": TRANSFORM, "flip_normals": FLAG, "silhouette_sampling_weight": number(0, 1e6)}
-OF_MESHES = more(OF_SHAPES, {"filename": file("mesh"), "face_normals": FLAG, "flip_tex_coords": FLAG})
-OF_INTEGRATORS = {
-    "max_depth": whole(-1, MAX_DEPTH_OF_PATHS), "rr_depth": whole(1, MAX_ROULETTE), "hide_emitters": FLAG,
-    "block_size": whole(0, 4096), "samples_per_pass": whole(1, MAX_SAMPLES), "timeout": number(-1, 1e9),
-}  # fmt: skip
-OF_SENSORS = {
-    "to_world": TRANSFORM, "near_clip": number(0), "far_clip": number(0), "shutter_open": number(), "shutter_close": number(),
-}  # fmt: skip
-OF_LENSES = more(
-    OF_SENSORS,
-    {
-        "fov": number(), "fov_axis": words("x", "y", "diagonal", "smaller", "larger"),
-        "focal_length": Allowed(("string",), pattern=r"\d{1,9}(\.\d{1,9})?(mm)?"),
-        "principal_point_offset_x": number(), "principal_point_offset_y": number(),
-    },
-)  # fmt: skip
-OF_THIN_LENSES = more(OF_LENSES, {"aperture_radius": number(), "focus_distance": number()})
-OF_SAMPLERS = {"sample_count": whole(1, MAX_SAMPLES), "seed": whole(0, 2**32 - 1)}
-OF_FILMS = {
-    "width": whole(1, MAX_SIDE), "height": whole(1, MAX_SIDE), "sample_border": FLAG, "compensate": FLAG, "banner": FLAG,
-    **{f"crop_{name}": whole(0, MAX_SIDE) for name in ("width", "height", "offset_x", "offset_y")},
-    "component_format": words("float16", "float32", "uint32"),
-}  # fmt: skip
-OF_PICTURES = {
-    "filename": file("picture"), "filter_type": words("nearest", "bilinear"), "wrap_mode": words("repeat", "mirror", "clamp"),
-    "format": words("auto", "variant", "fp16"), "raw": FLAG, "accel": FLAG, "to_uv": TRANSFORM,
-}  # fmt: skip
-OF_TABLES = {"wavelength_min": number(*LIGHT_NM), "wavelength_max": number(*LIGHT_NM)}
-OF_DIELECTRICS = {
-    "int_ior": INDEX, "ext_ior": INDEX, "specular_reflectance": SHARE, "specular_transmittance": SHARE,
-}  # fmt: skip
-OF_ROUGH = {
-    "alpha": COLOUR, "alpha_u": COLOUR, "alpha_v": COLOUR, "distribution": words("beckmann", "ggx"), "sample_visible": FLAG,
-}  # fmt: skip
+INDEX = Allowed(("string", *COLOUR_TAGS), kinds=("texture",))
 INDEX_OF_METAL = replace(COLOUR, tags=(*NUMBER_TAGS, "spectrum"), instead=METAL_BY_NAME)
-OF_METALS = {"material": METAL, "eta": INDEX_OF_METAL, "k": INDEX_OF_METAL, "specular_reflectance": SHARE}
-OF_PLASTICS = {
-    "diffuse_reflectance": SHARE, "specular_reflectance": SHARE, "int_ior": INDEX, "ext_ior": INDEX, "nonlinear": FLAG,
-}  # fmt: skip
-OF_PRINCIPLED = {
-    "base_color": SHARE,
-    **dict.fromkeys(("roughness", "anisotropic", "spec_trans", "spec_tint", "sheen", "sheen_tint"), SURFACE),
-    "flatness": SURFACE, "eta": number(0, 1e3), "diffuse_reflectance_sampling_rate": number(0, 1e6),
-}  # fmt: skip
-OF_MEDIA = {
-    "albedo": replace(VOLUME, high=1.0), "sigma_t": replace(VOLUME, high=1e9), "scale": Allowed(NUMBER_TAGS, 0, 1e9, SMALLEST),
-    "sample_emitters": FLAG, "has_spectral_extinction": FLAG,
-}  # fmt: skip
-OF_MAPS = {"use_shadowing_function": FLAG, "flip_invalid_normals": FLAG}
-IN_SHAPES = ("bsdf", "emitter", "medium", "texture")
-PATH = Plugin(OF_INTEGRATORS)
+VOLUME = Allowed(COLOUR_TAGS, kinds=("volume",))
+PICTURE, MESH, GRID, METAL = (Allowed(("string",), file=kind) for kind in ("texture", "mesh", "volume", "metal"))
+
+
+def each(rule: Allowed, names: str) -> dict[str, Allowed]:
+    """Return properties that may all be the same, by their names."""
+    return dict.fromkeys(names.split(), rule)
+
+
+OF_EMITTERS = each(NUMBER, "sampling_weight") | each(TRANSFORM, "to_world")
+OF_SHAPES = each(TRANSFORM, "to_world") | each(FLAG, "flip_normals") | each(NUMBER, "silhouette_sampling_weight")
+OF_MESHES = OF_SHAPES | each(MESH, "filename") | each(FLAG, "face_normals flip_tex_coords")
+OF_INTEGRATORS = (
+    each(WHOLE, "max_depth rr_depth block_size samples_per_pass") | each(FLAG, "hide_emitters") | each(NUMBER, "timeout")
+)
+OF_SENSORS = each(TRANSFORM, "to_world") | each(NUMBER, "near_clip far_clip shutter_open shutter_close")
+OF_LENSES = OF_SENSORS | each(WORD, "fov_axis focal_length") | each(NUMBER, "fov principal_point_offset_x principal_point_offset_y")
+OF_THIN_LENSES = OF_LENSES | each(NUMBER, "aperture_radius focus_distance")
+OF_SAMPLERS = each(WHOLE, "sample_count seed")
+OF_JITTERED = OF_SAMPLERS | each(FLAG, "jitter")
+OF_FILMS = (
+    each(WHOLE, "width height crop_width crop_height crop_offset_x crop_offset_y")
+    | each(FLAG, "sample_border compensate banner")
+    | each(WORD, "component_format")
+)
+OF_PICTURES = (
+    each(PICTURE, "filename") | each(WORD, "filter_type wrap_mode format") | each(FLAG, "raw accel") | each(TRANSFORM, "to_uv")
+)
+OF_TABLES = each(NUMBER, "wavelength_min wavelength_max")
+OF_DIELECTRICS = each(INDEX, "int_ior ext_ior") | each(SHARE, "specular_reflectance specular_transmittance")
+OF_ROUGH = each(COLOUR, "alpha alpha_u alpha_v") | each(WORD, "distribution") | each(FLAG, "sample_visible")
+OF_METALS = each(METAL, "material") | each(INDEX_OF_METAL, "eta k") | each(SHARE, "specular_reflectance")
+OF_PLASTICS = each(SHARE, "diffuse_reflectance specular_reflectance") | each(INDEX, "int_ior ext_ior") | each(FLAG, "nonlinear")
+OF_PRINCIPLED = (
+    each(SHARE, "base_color")
+    | each(SURFACE, "roughness anisotropic spec_trans spec_tint sheen sheen_tint flatness")
+    | each(NUMBER, "eta diffuse_reflectance_sampling_rate")
+)
+OF_THICK = each(SURFACE, "metallic clearcoat clearcoat_gloss") | each(
+    NUMBER, "specular main_specular_sampling_rate clearcoat_sampling_rate"
+)
+OF_THIN = each(SURFACE, "diff_trans") | each(
+    NUMBER, "specular_reflectance_sampling_rate specular_transmittance_sampling_rate diffuse_transmittance_sampling_rate"
+)
+OF_SKIES = (
+    each(NUMBER, "turbidity latitude longitude timezone hour minute second sun_scale sky_scale sun_aperture")
+    | each(WHOLE, "year month day")
+    | each(COLOUR, "albedo")
+    | each(PLACE, "sun_direction")
+    | each(FLAG, "complex_sun")
+)
+OF_MEDIA = each(VOLUME, "albedo sigma_t") | each(NUMBER, "scale") | each(FLAG, "sample_emitters has_spectral_extinction")
+OF_MAPS = each(FLAG, "use_shadowing_function flip_invalid_normals")
+OF_GRIDS = each(GRID, "filename") | each(WORD, "filter_type wrap_mode") | each(FLAG, "raw accel use_grid_bbox")
+FILE = ("filename",)
+IN_SHAPES, IN_SENSORS = ("bsdf", "emitter", "medium", "texture"), ("film", "sampler", "medium")
 ANY_KIND = (
     "sensor", "film", "sampler", "rfilter", "integrator", "emitter", "shape", "bsdf", "texture", "medium", "phase", "volume",
 )  # fmt: skip
 
 # Kind -> name -> plugin.
 PLUGINS: dict[str, dict[str, Plugin]] = {
-    "scene": {"scene": Plugin({"embree_use_robust_intersections": FLAG}, holds=ANY_KIND)},
+    "scene": {"scene": Plugin(each(FLAG, "embree_use_robust_intersections"), holds=ANY_KIND)},
     "sensor": {
-        "thinlens": Plugin(OF_THIN_LENSES, holds=("film", "sampler", "medium")),
-        "perspective": Plugin(OF_THIN_LENSES, holds=("film", "sampler", "medium")),
-        "orthographic": Plugin(OF_SENSORS, holds=("film", "sampler", "medium")),
+        "thinlens": Plugin(OF_THIN_LENSES, holds=IN_SENSORS),
+        "perspective": Plugin(OF_THIN_LENSES, holds=IN_SENSORS),
+        "orthographic": Plugin(OF_SENSORS, holds=IN_SENSORS),
     },
     "film": {
-        "hdrfilm": Plugin(
-            more(
-                OF_FILMS,
-                {
-                    "file_format": words("openexr", "exr", "rgbe", "pfm"),
-                    "pixel_format": words("luminance", "luminance_alpha", "rgb", "rgba", "xyz", "xyza"),
-                },
-            ),
-            holds=("rfilter",),
-        ),
+        "hdrfilm": Plugin(OF_FILMS | each(WORD, "file_format pixel_format"), holds=("rfilter",)),
         "specfilm": Plugin(OF_FILMS, holds=("rfilter", "texture")),
     },
     "sampler": {
         **dict.fromkeys(("independent", "ldsampler"), Plugin(OF_SAMPLERS)),
-        **dict.fromkeys(("stratified", "multijitter"), Plugin(more(OF_SAMPLERS, {"jitter": FLAG}))),
-        "orthogonal": Plugin(more(OF_SAMPLERS, {"jitter": FLAG, "strength": whole(2, 8)})),
+        **dict.fromkeys(("stratified", "multijitter"), Plugin(OF_JITTERED)),
+        "orthogonal": Plugin(OF_JITTERED | each(WHOLE, "strength")),
     },
     "rfilter": {
         **dict.fromkeys(("box", "catmullrom"), Plugin()),
-        "tent": Plugin({"radius": number(1e-3, 64)}),
-        "gaussian": Plugin({"stddev": number(1e-3, 16)}),
-        "mitchell": Plugin({name: number(-1e3, 1e3) for name in ("A", "B", "C")}),
-        "lanczos": Plugin({"lobes": whole(1, 32)}),
+        "tent": Plugin(each(NUMBER, "radius")),
+        "gaussian": Plugin(each(NUMBER, "stddev")),
+        "mitchell": Plugin(each(NUMBER, "A B C")),
+        "lanczos": Plugin(each(WHOLE, "lobes")),
     },
     "integrator": {
-        **dict.fromkeys(("path", "volpath", "volpathmis", "prb", "prbvolpath"), PATH),
-        "direct": Plugin(
-            more(OF_INTEGRATORS, {name: whole(0, 4096) for name in ("shading_samples", "emitter_samples", "bsdf_samples")})
-        ),
+        **dict.fromkeys(("path", "volpath", "volpathmis", "prb", "prbvolpath"), Plugin(OF_INTEGRATORS)),
+        "direct": Plugin(OF_INTEGRATORS | each(WHOLE, "shading_samples emitter_samples bsdf_samples")),
     },
     "emitter": {
-        **dict.fromkeys(("area", "constant", "directionalarea"), Plugin(more(OF_EMITTERS, {"radiance": COLOUR}))),
-        "directional": Plugin(more(OF_EMITTERS, {"irradiance": COLOUR, "direction": PLACE})),
-        "point": Plugin(more(OF_EMITTERS, {"intensity": COLOUR, "position": PLACE})),
-        "spot": Plugin(
-            more(
-                OF_EMITTERS,
-                {"intensity": COLOUR, "cutoff_angle": number(1e-3, 180), "beam_width": number(0, 180), "texture": COLOUR},
-            )
-        ),
-        "projector": Plugin(more(OF_EMITTERS, OF_LENSES, {"irradiance": COLOUR, "scale": SCALE}), holds=("texture",)),
+        **dict.fromkeys(("area", "constant", "directionalarea"), Plugin(OF_EMITTERS | each(COLOUR, "radiance"))),
+        "directional": Plugin(OF_EMITTERS | each(COLOUR, "irradiance") | each(PLACE, "direction")),
+        "point": Plugin(OF_EMITTERS | each(COLOUR, "intensity") | each(PLACE, "position")),
+        "spot": Plugin(OF_EMITTERS | each(COLOUR, "intensity texture") | each(NUMBER, "cutoff_angle beam_width")),
+        "projector": Plugin(OF_EMITTERS | OF_LENSES | each(COLOUR, "irradiance") | each(NUMBER, "scale"), holds=("texture",)),
         "envmap": Plugin(
-            more(OF_EMITTERS, {"filename": file("picture"), "scale": SCALE, "mis_compensation": FLAG}), needs=("filename",)
+            OF_EMITTERS | each(PICTURE, "filename") | each(NUMBER, "scale") | each(FLAG, "mis_compensation"), needs=FILE
         ),
-        "sunsky": Plugin(
-            more(
-                OF_EMITTERS,
-                {
-                    "turbidity": number(1, 10), "albedo": Allowed(COLOUR_TAGS, 0, 1, SMALLEST, kinds=("texture",)),
-                    "latitude": number(-90, 90), "longitude": number(-180, 180), "timezone": number(-24, 24),
-                    "year": whole(1, 9999), "month": whole(1, 12), "day": whole(1, 31), "hour": number(0, 24),
-                    "minute": number(0, 60), "second": number(0, 60), "sun_direction": PLACE, "sun_scale": SCALE,
-                    "sky_scale": SCALE, "sun_aperture": number(0.01, 90), "complex_sun": FLAG,
-                },
-            )
-        ),
+        "sunsky": Plugin(OF_EMITTERS | OF_SKIES),
     },
     "shape": {
-        "sphere": Plugin(more(OF_SHAPES, {"center": PLACE, "radius": number()}), holds=IN_SHAPES),
-        "cylinder": Plugin(more(OF_SHAPES, {"p0": PLACE, "p1": PLACE, "radius": number()}), holds=IN_SHAPES),
+        "sphere": Plugin(OF_SHAPES | each(PLACE, "center") | each(NUMBER, "radius"), holds=IN_SHAPES),
+        "cylinder": Plugin(OF_SHAPES | each(PLACE, "p0 p1") | each(NUMBER, "radius"), holds=IN_SHAPES),
         **dict.fromkeys(("rectangle", "disk"), Plugin(OF_SHAPES, holds=IN_SHAPES)),
-        "cube": Plugin(more(OF_SHAPES, {"face_normals": FLAG}), holds=IN_SHAPES),
-        **dict.fromkeys(("ply", "obj"), Plugin(OF_MESHES, needs=("filename",), holds=IN_SHAPES)),
-        "serialized": Plugin(more(OF_MESHES, {"shape_index": whole(0, 1 << 20)}), needs=("filename",), holds=IN_SHAPES),
+        "cube": Plugin(OF_SHAPES | each(FLAG, "face_normals"), holds=IN_SHAPES),
+        **dict.fromkeys(("ply", "obj"), Plugin(OF_MESHES, needs=FILE, holds=IN_SHAPES)),
+        "serialized": Plugin(OF_MESHES | each(WHOLE, "shape_index"), needs=FILE, holds=IN_SHAPES),
         "shapegroup": Plugin(holds=("shape",)),
-        "instance": Plugin({"to_world": TRANSFORM}, holds=("shape",)),
+        "instance": Plugin(each(TRANSFORM, "to_world"), holds=("shape",)),
     },
     "bsdf": {
-        "diffuse": Plugin({"reflectance": SHARE}),
+        "diffuse": Plugin(each(SHARE, "reflectance")),
         **dict.fromkeys(("dielectric", "thindielectric"), Plugin(OF_DIELECTRICS)),
-        "roughdielectric": Plugin(more(OF_DIELECTRICS, OF_ROUGH)),
+        "roughdielectric": Plugin(OF_DIELECTRICS | OF_ROUGH),
         "conductor": Plugin(OF_METALS),
-        "roughconductor": Plugin(more(OF_METALS, OF_ROUGH)),
+        "roughconductor": Plugin(OF_METALS | OF_ROUGH),
         "plastic": Plugin(OF_PLASTICS),
-        "roughplastic": Plugin(more(OF_PLASTICS, OF_ROUGH)),
-        "principled": Plugin(
-            more(
-                OF_PRINCIPLED,
-                dict.fromkeys(("metallic", "clearcoat", "clearcoat_gloss"), SURFACE),
-                {
-                    "specular": number(0, 1e3), "main_specular_sampling_rate": number(0, 1e6),
-                    "clearcoat_sampling_rate": number(0, 1e6),
-                },
-            )
-        ),
-        "principledthin": Plugin(
-            more(
-                OF_PRINCIPLED,
-                {"diff_trans": replace(SURFACE, low=0, high=2)},
-                {f"{name}_sampling_rate": number(0, 1e6) for name in ("specular_reflectance", "specular_transmittance")},
-                {"diffuse_transmittance_sampling_rate": number(0, 1e6)},
-            )
-        ),
+        "roughplastic": Plugin(OF_PLASTICS | OF_ROUGH),
+        "principled": Plugin(OF_PRINCIPLED | OF_THICK),
+        "principledthin": Plugin(OF_PRINCIPLED | OF_THIN),
         "twosided": Plugin(holds=("bsdf",)),
-        "mask": Plugin({"opacity": SURFACE}, holds=("bsdf",)),
-        "blendbsdf": Plugin({"weight": SURFACE}, holds=("bsdf",)),
-        "bumpmap": Plugin(more(OF_MAPS, {"scale": SCALE}), holds=("bsdf", "texture")),
-        "normalmap": Plugin(more(OF_MAPS, {"normalmap": COLOUR}), holds=("bsdf", "texture")),
+        "mask": Plugin(each(SURFACE, "opacity"), holds=("bsdf",)),
+        "blendbsdf": Plugin(each(SURFACE, "weight"), holds=("bsdf",)),
+        "bumpmap": Plugin(OF_MAPS | each(NUMBER, "scale"), holds=("bsdf", "texture")),
+        "normalmap": Plugin(OF_MAPS | each(COLOUR, "normalmap"), holds=("bsdf", "texture")),
         "null": Plugin(),
     },
     "texture": {
-        "bitmap": Plugin(OF_PICTURES, needs=("filename",)),
-        "checkerboard": Plugin({"color0": SURFACE, "color1": SURFACE, "to_uv": TRANSFORM}),
-        "mesh_attribute": Plugin(
-            {"name": Allowed(("string",), pattern=r"(vertex|face)_\w{1,64}"), "scale": SCALE}, needs=("name",)
-        ),
+        "bitmap": Plugin(OF_PICTURES, needs=FILE),
+        "checkerboard": Plugin(each(SURFACE, "color0 color1") | each(TRANSFORM, "to_uv")),
+        "mesh_attribute": Plugin(each(WORD, "name") | each(NUMBER, "scale"), needs=("name",)),
         "volume": Plugin(holds=("volume",)),
-        "uniform": Plugin(more(OF_TABLES, {"value": SCALE})),
-        "regular": Plugin(more(OF_TABLES, {"values": NUMBERS, "range": replace(NUMBERS, low=LIGHT_NM[0], high=LIGHT_NM[1])})),
-        "irregular": Plugin({"wavelengths": replace(NUMBERS, low=LIGHT_NM[0], high=LIGHT_NM[1]), "values": NUMBERS}),
-        "d65": Plugin({"scale": SCALE, "color": Allowed(("rgb",), smallest=SMALLEST)}, holds=("texture",)),
-        "blackbody": Plugin(more(OF_TABLES, {"temperature": number(1, 1e7)})),
-        "srgb": Plugin({"color": Allowed(("rgb",), smallest=SMALLEST, rgb_of_surface=True)}),
+        "uniform": Plugin(OF_TABLES | each(NUMBER, "value")),
+        "regular": Plugin(OF_TABLES | each(NUMBERS, "values range")),
+        "irregular": Plugin(each(NUMBERS, "wavelengths values")),
+        "d65": Plugin(each(NUMBER, "scale") | each(Allowed(("rgb",)), "color"), holds=("texture",)),
+        "blackbody": Plugin(OF_TABLES | each(NUMBER, "temperature")),
+        "srgb": Plugin(each(Allowed(("rgb",), rgb_of_surface=True), "color")),
     },
-    "medium": {
-        "homogeneous": Plugin(OF_MEDIA, holds=("phase",)),
-        "heterogeneous": Plugin(OF_MEDIA, holds=("phase",)),
-    },
+    "medium": dict.fromkeys(("homogeneous", "heterogeneous"), Plugin(OF_MEDIA, holds=("phase",))),
     "phase": {
         **dict.fromkeys(("isotropic", "rayleigh"), Plugin()),
-        "hg": Plugin({"g": number(-0.999, 0.999)}),
-        "blendphase": Plugin({"weight": VOLUME}, holds=("phase", "volume")),
+        "hg": Plugin(each(NUMBER, "g")),
+        "blendphase": Plugin(each(VOLUME, "weight"), holds=("phase", "volume")),
     },
     "volume": {
-        "constvolume": Plugin({"value": replace(COLOUR, low=0)}),
-        "gridvolume": Plugin(
-            more(
-                {name: rule for name, rule in OF_PICTURES.items() if name in ("wrap_mode", "raw", "accel")},
-                {
-                    "filename": file("volume"), "filter_type": words("nearest", "trilinear"), "use_grid_bbox": FLAG,
-                    "to_world": TRANSFORM,
-                },
-            ),
-            needs=("filename",),
-        ),
+        "constvolume": Plugin(each(COLOUR, "value")),
+        "gridvolume": Plugin(OF_GRIDS | each(TRANSFORM, "to_world"), needs=FILE),
     },
-}  # fmt: skip
+}

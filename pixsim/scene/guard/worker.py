@@ -13,17 +13,24 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from pixsim.base.errors import PixsimError
+from pixsim.scene.guard.loaded import check_files, limit_memory
 from pixsim.scene.guard.own_tracer import OwnTracer
 from pixsim.scene.job import TraceJob
+from pixsim.scene.mitsuba import import_mitsuba
 
+LACKS_MEMORY = "the scene needs more memory than it may have; take smaller meshes and pictures, or a coarser film"
 JOBS = TypeAdapter(TraceJob)  # in JSON keys are texts and tuples are lists
 
 
 def answer(tracer: OwnTracer | None, request: dict[str, Any], pictures: int) -> tuple[OwnTracer, dict[str, Any]]:
     """Return the tracer of the current job, and the reply to a request; a picture goes into a file."""
     if "job" in request:
-        tracer = OwnTracer(JOBS.validate_python(request["job"]))
-        return tracer, {"scenes": len(tracer.loaded)}
+        job = JOBS.validate_python(request["job"])
+        import_mitsuba(job.variant)
+        limit_memory(job)
+        highest = check_files(job)
+        tracer = OwnTracer(job)
+        return tracer, {"scenes": len(tracer.loaded), "highest": highest}
     assert tracer is not None
     if "sampler" in request and "seed" not in request:
         return tracer, {"samples": tracer.sample_count(**request)}
@@ -62,9 +69,9 @@ def main(pictures: int, requests: int, replies: int, life: int) -> None:
             try:
                 tracer, reply = answer(tracer, json.loads(line), pictures)
             except PixsimError as error:
-                reply = {"error": str(error)}
+                reply = {"error": str(error).replace("std::bad_alloc", LACKS_MEMORY)}
             except MemoryError:
-                reply = {"error": "the scene needs more memory than there is; take smaller meshes and pictures, or a coarser film"}
+                reply = {"error": LACKS_MEMORY}
             except Exception as error:  # as in `pixsim.cli.main`; without its words the parent could only report an exit code
                 reply = {"error": f"unexpected {type(error).__name__} in the process that renders: {error}"}
             out.write(json.dumps(reply) + "\n")

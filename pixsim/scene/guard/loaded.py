@@ -1,0 +1,102 @@
+"""Check what Mitsuba has read of a scene's files before the first ray: in the child, whose memory is bounded, which may crash.
+
+Mitsuba takes the corners of a mesh for granted: one beyond the vertices is read from foreign memory.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import resource
+from functools import lru_cache
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+from pixsim.base.errors import PixsimError, invalid, quoted
+from pixsim.base.machine import memory, text_of
+from pixsim.scene.guard.files import escaped
+from pixsim.scene.job import AssetFile, TraceJob
+from pixsim.scene.mitsuba import speaking_mitsuba
+from pixsim.scene.textures import check_texels
+from pixsim.scene.variants.graphics import CUDA
+
+QUOTED = re.compile(r'"([^"]*)"')
+MESHES = ("ply", "obj", "serialized")
+LEAST_BYTES = 4 << 30
+BYTES_PER_BYTE = 16  # of a file: a compressed half is a float of a picture and of its copies; a face is part of a tree
+
+
+def limit_memory(job: TraceJob) -> None:
+    """Let this process map at most so many more bytes: a share in proportion to the files, and no more than the machine has.
+
+    Call it when Mitsuba's variant is set: LLVM and threads reserve addresses that they do not use. There is no limit for graphics
+    cards, whose driver maps all memory of the card, and on systems that do not say what is mapped.
+    """
+    pages = text_of(Path("/proc/self/statm")).split()
+    if not pages or job.variant == CUDA:
+        return
+    files_bytes = sum(os.path.getsize(file.path) for file in job.files)
+    machine = memory()
+    room_bytes = min(
+        size for size in (LEAST_BYTES + BYTES_PER_BYTE * files_bytes, machine.total, machine.limit) if size is not None
+    )
+    limit_bytes = int(pages[0]) * os.sysconf("SC_PAGE_SIZE") + room_bytes
+    _, highest = resource.getrlimit(resource.RLIMIT_AS)
+    if highest not in (resource.RLIM_INFINITY, -1):
+        limit_bytes = min(limit_bytes, highest)
+    resource.setrlimit(resource.RLIMIT_AS, (limit_bytes, highest))
+
+
+def check_files(job: TraceJob) -> list[float]:
+    """Return the highest texel of each file that is a share of light; 0 for the others.
+
+    Raises PixsimError for a file that Mitsuba cannot read, corners that are none of a mesh's vertices, vertices and texels that are
+    not finite, and negative light. It quotes no more of a file than plain words.
+    """
+    highest = []
+    for file in job.files:
+        try:
+            highest.append(_highest(job.variant, file))
+        except PixsimError as error:
+            lines = job.text.splitlines()
+            line = next(number for number, text in enumerate(lines, 1) if escaped(file.path) in text)
+            name = Path(file.path).name
+            raise PixsimError(f"At string (line {line}, col 1), '{name}': {_without_content(str(error), name)}") from None
+    return highest
+
+
+def _without_content(message: str, name: str) -> str:
+    """Return a message of Mitsuba's that quotes no more of a file's content than plain words."""
+    return QUOTED.sub(lambda word: word[0] if name in word[1] else quoted(word[1]), message)
+
+
+@lru_cache(maxsize=512)
+def _highest(variant: str, file: AssetFile) -> float:
+    """Check a file, once for its content."""
+    with speaking_mitsuba(variant) as mi:
+        if file.plugin in MESHES:
+            _check_mesh(mi, file)
+        elif file.has_light:
+            picture = mi.VolumeGrid(file.path) if file.plugin == "gridvolume" else mi.Bitmap(file.path)
+            texels = np.asarray(picture)
+            check_texels(Path(file.path), texels)
+            if file.share and texels.dtype.kind == "f":
+                return float(texels.max())
+    return 0.0
+
+
+def _check_mesh(mi: ModuleType, file: AssetFile) -> None:
+    index = {"shape_index": file.shape_index} if file.plugin == "serialized" else {}
+    # Mitsuba computes normals from the corners, which are not checked yet.
+    mesh = mi.load_dict({"type": file.plugin, "filename": file.path, "face_normals": True} | index)
+    what, vertices, arrays = f"mesh '{file.path}'", mesh.vertex_count(), mi.traverse(mesh)
+    corners = np.array(arrays["faces"])
+    if not (vertices and corners.size):
+        raise invalid(what, f"{vertices} vertices, {corners.size // 3} faces", "at least one of each")
+    if corners.max() >= vertices:
+        raise invalid(what, f"corner {corners.max()}", f"whole numbers from 0 to {vertices - 1}, of its vertices")
+    for name in arrays.keys():  # noqa: SIM118
+        if name.startswith("vertex_") and not np.isfinite(np.array(arrays[name])).all():
+            raise invalid(what, f"{name} that are NaN or infinite", "finite numbers")
