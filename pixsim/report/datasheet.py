@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.digits import MAX_DIGITS, exposure_time, number, percent, told_apart, with_error, within_error
+from pixsim.base.digits import MAX_DIGITS, exposure_time, number, told_apart, within_error
 from pixsim.base.notes import Note
 from pixsim.base.schema import result_data
 from pixsim.base.tables import rows_csv
 from pixsim.measure.datasheet import DataSheet, Entry
-from pixsim.measure.estimators import LINEARITY_SHARES, SENSITIVITY_SHARE, straight_line
+from pixsim.measure.estimators import straight_line
 from pixsim.report.panels import LINE, MARKED_LINE, POINTS, Line, Panel, draw_panels
 from pixsim.sensor.labels import file_label, label_of
 from pixsim.sensor.pixel_options import Pixel
@@ -40,7 +40,6 @@ FILES = ("report.html", "summary.json", "datasheet.csv", *figure_files(FIGURES))
 def photon_transfer_plate(sheet: DataSheet) -> Drawing:
     """Temporal variance against mean signal, both minus the dark."""
     transfer, signal = sheet.transfer, sheet.signal_dn
-    gain = transfer.gain_dn_per_e
     expected, expected_variance = sheet.expected
     table = {
         "photons_p": sheet.light.at,
@@ -49,31 +48,25 @@ def photon_transfer_plate(sheet: DataSheet) -> Drawing:
         "expected_signal_dn": expected,
         "expected_variance_dn2": expected_variance,
         "fitted": transfer.fitted.astype(int),
-        "gain_times_signal_dn2": gain.value * signal,
+        "gain_times_signal_dn2": transfer.gain_dn_per_e.value * signal,
     }
     lines = (
         Line("signal_dn", "variance_dn2", "measured", POINTS),
         Line("expected_signal_dn", "expected_variance_dn2", "model"),
-        Line("signal_dn", "gain_times_signal_dn2", f"K = {with_error(gain.value, gain.error)} DN/e⁻"),
+        Line("signal_dn", "gain_times_signal_dn2", "fit, slope K"),
     )
-    marks = {
-        f"{percent(SENSITIVITY_SHARE)} of saturation": signal[transfer.fitted][-1],
-        "saturation": signal[transfer.saturation_index],
-    }
+    marks = {"end of the fit": signal[transfer.fitted][-1], "saturation": signal[transfer.saturation_index]}
     return draw_panels(table, [Panel(SIGNAL, "temporal variance minus dark (DN²)", lines, marks)])
 
 
 @figure("responsivity", "Responsivity R: the slope of signal over photons.")
 def responsivity_plate(sheet: DataSheet) -> Drawing:
     """Mean signal against photons."""
-    responsivity = sheet.transfer.responsivity_dn_per_p
-    photons = sheet.light.at
-    table = {"photons_p": photons, "signal_dn": sheet.signal_dn, "fitted_dn": responsivity.value * photons}
-    lines = (
-        Line("photons_p", "signal_dn", "measured", POINTS),
-        Line("photons_p", "fitted_dn", f"R = {with_error(responsivity.value, responsivity.error)} DN/photon"),
-    )
-    marks = {"saturation": sheet.transfer.saturation_p.value}
+    transfer, photons = sheet.transfer, sheet.light.at
+    fitted_dn = transfer.responsivity_dn_per_p.value * photons
+    table = {"photons_p": photons, "signal_dn": sheet.signal_dn, "fitted_dn": fitted_dn}
+    lines = Line("photons_p", "signal_dn", "measured", POINTS), Line("photons_p", "fitted_dn", "fit, slope R")
+    marks = {"saturation": transfer.saturation_p.value}
     return draw_panels(table, [Panel(PHOTONS, SIGNAL, lines, marks)])
 
 
@@ -102,12 +95,10 @@ def snr_plate(sheet: DataSheet) -> Drawing:
     return draw_panels(table, [Panel(PHOTONS, "SNR (mean / standard deviation)", lines, marks, axes, "lower right")])
 
 
-@figure("linearity", "Deviation of the mean signal from a straight line. Bars: standard error.")
+@figure("linearity", "Deviation from a straight line, 5 to 95 % of saturation. Bars: standard error.")
 def linearity_plate(sheet: DataSheet) -> Drawing:
     """Relative deviation of the mean signal from a straight line, in the range that counts."""
     linearity, light = sheet.linearity, sheet.light
-    low, high = LINEARITY_SHARES
-    name = f"{100 * low:g} to {percent(high)} of saturation: LE = {number(100 * linearity.error)} %"
     error_percent = 100 * np.sqrt(light.variance_dn2 / (2 * sheet.pixels)) / sheet.signal_dn
     table = {
         "photons_p": light.at,
@@ -115,7 +106,7 @@ def linearity_plate(sheet: DataSheet) -> Drawing:
         "within": linearity.within.astype(int),
         "counted_percent": np.where(linearity.within, 100 * linearity.deviation, np.nan),
     }
-    lines = (Line("photons_p", "counted_percent", name, POINTS),)
+    lines = (Line("photons_p", "counted_percent", style=POINTS),)
     figure, _ = draw_panels(table, [Panel(PHOTONS, "deviation from a straight line (%)", lines)])
     figure.axes[0].errorbar(light.at, table["counted_percent"], error_percent, fmt="none", lw=1, color="0.5")
     return figure, table
@@ -136,12 +127,11 @@ def dark_current_plate(sheet: DataSheet) -> Drawing:
         "dark_current_e_per_s": np.array([current.value for current in warm]),
     }
     panels = []
-    for name, label, current in zip(("mean_e", "variance_e2"), ("mean (e⁻)", "variance (e⁻²)"), sheet.dark_currents, strict=True):
+    for name, label in (("mean_e", "dark mean (e⁻)"), ("variance_e2", "dark variance (e⁻²)")):
         slope, start = straight_line(dark.at, table[name], np.zeros_like(dark.at))
         table[f"fitted_{name}"] = start.value + slope.value * dark.at
-        words = f"{with_error(current.value, current.error)} e⁻/s"
-        lines = Line("integration_s", name, "measured", POINTS), Line("integration_s", f"fitted_{name}", words)
-        panels.append(Panel("integration time (s)", f"dark {label}", lines))
+        lines = Line("integration_s", name, "measured", POINTS), Line("integration_s", f"fitted_{name}", "fit")
+        panels.append(Panel("integration time (s)", label, lines))
     if warm:
         line = Line("temperature_k", "dark_current_e_per_s", style=POINTS)
         panels.append(Panel("temperature (K)", "dark current (e⁻/s)", (line,), axes={"yscale": "log"}))

@@ -349,8 +349,7 @@ def test_quick_takes_the_name_or_the_file_of_a_study(tmp_path: Path) -> None:
 
 def test_study_layers_later_files_take_precedence(tmp_path: Path) -> None:
     paths = [written(tmp_path / "a.toml", SHEET), written(tmp_path / "b.toml", "[pixel]\nread_noise_e = 7\n")]
-    with pytest.warns(UserWarning, match=r"\[pixel\] is a mixture of 2 files"):
-        pixel, other = (load_study("pixel-size", files).pixel for files in (paths, paths[::-1]))
+    pixel, other = (load_study("pixel-size", files).pixel for files in (paths, paths[::-1]))
     assert (pixel.read_noise_e, pixel.full_well_e, other.read_noise_e) == (7, 12000, 2.5)
 
 
