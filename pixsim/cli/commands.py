@@ -251,14 +251,10 @@ def plan(
     Example: pixsim plan macbeth --tolerance-e 1e-4
     """
     import_less()
-    from pixsim.report.outline import plan_document
-    from pixsim.studies.lights import plan_of
-    from pixsim.studies.prepare import loaded_scene
+    from pixsim.report.commands.plan import plan_answer
 
-    chosen = options.settings(tolerance_e=tolerance_e)
-    loaded = loaded_scene(scene, chosen.scene, chosen.resolution, chosen.display, variant=variant, sensor=sensor)
-    made = plan_of(loaded, loaded.camera(chosen.camera, chosen.lens), chosen, full)
-    answer(plan_document(made, scene, chosen), json)
+    settings = options.settings(tolerance_e=tolerance_e)
+    answer(plan_answer(scene, settings, full=full, sensor=sensor, variant=variant), json)
 
 
 @app.command(sort_key=1)

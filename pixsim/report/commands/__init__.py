@@ -1,4 +1,4 @@
-"""What the commands `run`, `study` and `compare` do: settings in, the files of a folder and the document of the answer out."""
+"""What the commands `run`, `study`, `compare` and `plan` do: settings in, files of a folder and the document of the answer out."""
 
 from pathlib import Path
 
