@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import shlex
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -15,35 +14,31 @@ from typing import Any
 
 import numpy as np
 
-from pixsim.base.arrays import Array
-from pixsim.base.digits import difference_cells, exposure_time, probability, rounded
+from pixsim.base.digits import difference_cells, exposure_time, rounded
 from pixsim.base.files import check_replaceable
 from pixsim.base.machine import processors
-from pixsim.base.notes import Note
-from pixsim.base.records import Record
 from pixsim.base.schema import result_data
-from pixsim.base.toml import SETTINGS_FILE, settings_table_text, whole_path
-from pixsim.light.curves import RESPONSES
+from pixsim.base.tables import columns_of
+from pixsim.base.toml import SETTINGS_FILE, whole_path
 from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.pictures import crops, picture_axes, size_words
 from pixsim.report.run import colour_rows
-from pixsim.report.settings import record_rows, scene_rows, settings_blocks, settings_table
-from pixsim.report.uncertainty import largest_share_words, pair_words
+from pixsim.report.score import judged_by_delta_e
+from pixsim.report.settings import DEFAULTS, scene_rows, settings_blocks, settings_table, settings_tables
+from pixsim.report.uncertainty import pair_words
 from pixsim.report.verdicts import (
     asked_metrics,
     common_words,
-    judged_by_delta_e,
-    metric_mean,
-    metric_verdict,
-    metric_words,
+    doubts,
+    draw_differences,
+    label_rows,
+    mean_words,
     notes,
     over_cases,
-    pairs_of_all,
+    pair_cells,
     sensor_words,
     shared_stages,
-    shown_mean,
-    unconverged,
-    verdict,
+    verdict_parts,
 )
 from pixsim.report.wording import DELTA_E
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
@@ -63,6 +58,7 @@ from pixsim.show.document import (
     Section,
     Slider,
     Strong,
+    Text,
     headline,
 )
 from pixsim.show.figures import literal, new_figure
@@ -83,15 +79,14 @@ from pixsim.show.presenter import PageOptions, Presenter
 from pixsim.show.render import PAGE
 from pixsim.show.sentences import setting_value
 from pixsim.studies.comparison import ComparedSensor, Comparison, DisplayDifference
-from pixsim.studies.design import BASE, frame_cost
+from pixsim.studies.design import BASE, Case, frame_cost
 from pixsim.studies.dry_run import PAGE_S, START_S, Cost, render_bytes, render_seconds
-from pixsim.studies.files import scene_table, settings_text, without_files_of_axis
-from pixsim.studies.paired import mean_interval
-from pixsim.studies.sensors import OF_A_SENSOR, SHARED, ComparisonJob, SensorGroup, pixels_of
-from pixsim.studies.settings import Condition, Study, paths_of
+from pixsim.studies.files import scene_table, settings_text
+from pixsim.studies.paired import Pairs, mean_interval
+from pixsim.studies.sensors import OF_A_SENSOR, ComparisonJob, SensorGroup, pixels_of
+from pixsim.studies.settings import paths_of
 from pixsim.studies.table import ROWS_FILE
-from pixsim.studies.uncertainty import FEW_SENSORS, TYPES_FILE, PairUncertainty
-from pixsim.viewer.develop_options import TONE_CURVES, developed_words
+from pixsim.studies.uncertainty import FEW_SENSORS, TYPES_FILE
 from pixsim.viewer.display import white_light
 from pixsim.viewer.metrics import Metric
 from pixsim.viewer.screen import LightLevel
@@ -114,15 +109,6 @@ def comparison_outline(job: ComparisonJob) -> dict[str, Any]:
     """Return what a comparison would do, with an estimate of time and memory; nothing is rendered or written."""
     shown = job.shown
     first = shown.first
-    repeats = job.repeats + (0 if job.types is None else FEW_SENSORS * len(job.types.sample.quantiles))
-    costs = [_cost_of(group, repeats) for group in job.groups]
-    cost = Cost(
-        renders=sum(each.renders for each in costs),
-        evaluations=sum(each.evaluations for each in costs),
-        seconds=START_S + PAGE_S + sum(each.seconds for each in costs),
-        memory_bytes=max(each.memory_bytes for each in costs),
-        jobs=1,
-    )
     scene = first.scene.with_resolution(shown.film_width)
     more: dict[str, Any] = {}
     if job.study is not None:
@@ -140,29 +126,33 @@ def comparison_outline(job: ComparisonJob) -> dict[str, Any]:
         **shown.as_dict(),
         "film": {"samples": list(scene.film_shape(first.camera, scene.for_camera(first.camera)))},
         "display": shown.display.model_dump(),
-        "sensors": {
-            case.sensor: {
-                "camera": case.camera.model_dump(),
-                "fov_deg": case.camera.fov_deg,
-                "pixels": list(pixels_of(case)),
-                "pixel": case.settings.pixel.model_dump(),
-            }
-            for case in shown.cases
-        },
-        "estimate": asdict(cost),
+        "sensors": {case.sensor: _case_data(case) for case in shown.cases},
+        "estimate": asdict(_cost_of(job)),
     }
 
 
-def _cost_of(group: SensorGroup, repeats: int) -> Cost:
-    """Estimate the renders and frames of the sensors under one condition."""
-    seconds, largest = 0.0, 0.0
-    for case in group.cases:
-        request = group.request(case, group.film_width)
-        frame = frame_cost(case.camera, case.settings.pixel.pitch_um, group.display, *case.others)
-        cores = processors().usable
-        seconds += render_seconds(request.plan, request.shape, cores) + repeats * frame.seconds / cores
-        largest = max(largest, render_bytes(request.plan, request.shape) + frame.memory_bytes)
-    return Cost(len(group.cases), repeats * len(group.cases), seconds, largest, 1)
+def _cost_of(job: ComparisonJob) -> Cost:
+    """Estimate the renders and frames of all sensors."""
+    repeats = job.repeats + (0 if job.types is None else FEW_SENSORS * len(job.types.sample.quantiles))
+    seconds, largest_bytes, cores = START_S + PAGE_S, 0.0, processors().usable
+    for group in job.groups:
+        for case in group.cases:
+            request = group.request(case, group.film_width)
+            frame = frame_cost(case.camera, case.settings.pixel.pitch_um, group.display, *case.others)
+            seconds += render_seconds(request.plan, request.shape, cores) + repeats * frame.seconds / cores
+            largest_bytes = max(largest_bytes, render_bytes(request.plan, request.shape) + frame.memory_bytes)
+    sensors = sum(len(group.cases) for group in job.groups)
+    return Cost(sensors, repeats * sensors, seconds, largest_bytes, 1)
+
+
+def _case_data(case: Case[Run]) -> dict[str, Any]:
+    """Return the camera and the pixels of a sensor, as in compare.json."""
+    return {
+        "camera": case.camera.model_dump(),
+        "fov_deg": case.camera.fov_deg,
+        "pixels": list(pixels_of(case)),
+        "pixel": case.settings.pixel.model_dump(),
+    }
 
 
 def comparison_outline_document(job: ComparisonJob, out: Path) -> Document:
@@ -179,13 +169,12 @@ def _outline_blocks(job: ComparisonJob, shown: dict[str, Any], out: Path) -> Ite
     height, across = shown["film"]["samples"]
     condition = job.shown.first.condition
     yield DocumentTable("sensors", (), [(case.sensor, sensor_words(case)) for case in job.shown.cases], words=None)
-    yield Fact(common_words(job))
-    yield Fact(f"film of {across} × {height} samples for all{f', in {condition}' if condition else ''}")
+    yield Fact("; ".join(common_words(job)))
+    yield Fact(f"film of {across} × {height} samples for all{condition and f', in {condition}'}")
     if "cases" in shown:
         yield Fact(f"{len(shown['cases'])} cases: {'; '.join(case.words for case in job.combinations)}")
     if "uncertainty" in shown:
         yield Fact(f"{shown['uncertainty']['draws']} sensor types, over {', '.join(shown['uncertainty']['inputs'])}")
-    yield Fact("the film's error is measured by the renders and part of each ±; render noise stands beside the answer if too large")
     yield Fact(f"{out}: nothing is written now")
     yield Fact(f"cost: {Cost(**shown['estimate'])}")
 
@@ -227,11 +216,10 @@ def settings_files(job: ComparisonJob) -> dict[str, str]:
 
     They state what was stated, and leave open what pixsim chose, such as a display: the command chooses the same again.
     """
+    study = job.study if job.study is not None and job.study.has_cases else None
     files = [f"sensors/{name}.toml" for name in job.names]
-    has_study = job.study is not None and job.study.has_cases
     words = ["pixsim", "compare", *files]
-    words += [] if has_study else ["--scene", whole_path(job.shown.scene)]
-    words += ["--study" if has_study else "--config", SETTINGS_FILE]
+    words += ["--study", SETTINGS_FILE] if study else ["--scene", whole_path(job.shown.scene), "--config", SETTINGS_FILE]
     words += ["--match", job.match] if len(job.matches) == 1 else []
     words += ["--repeats", str(job.repeats)]
     if job.types is not None:
@@ -239,59 +227,22 @@ def settings_files(job: ComparisonJob) -> dict[str, str]:
     for option, value in (("--sensor", job.sensor), ("--variant", job.variant)):
         words += [option, value] if value else []
     command = shlex.join(words)
-    if job.study is not None and has_study:
-        texts = {SETTINGS_FILE: settings_table_text(_study_table(job, job.study), command)}
-    else:
-        first = job.base[0]
-        chosen = {"dots", "samples_per_deg"} - first.display.model_fields_set  # where both are stated, no other display is shown
-        scene = scene_table(job.shown.first.scene.path.parent, first.scene)
-        display = first.display.model_dump(mode="json", exclude_none=True, exclude=chosen)
-        text = settings_text(first, command, scene=scene, display=display, camera={}, lens={}, pixel={}, exposure={})
-        texts = {SETTINGS_FILE: text}
+
+    first = job.base[0]
+    chosen = {"dots", "samples_per_deg"} - first.display.model_fields_set  # where both are stated, no other display is shown
+    parameters = scene_table(job.shown.first.scene.path.parent, first.scene)
+    tables: dict[str, Any] = {name: {} for name in OF_A_SENSOR}
+    tables |= {"display": first.display.model_dump(mode="json", exclude_none=True, exclude=chosen), "scene": parameters}
+    if study:
+        cases = study.model_dump(mode="json", include={"axis", "condition", "detail"})
+        tables |= {name: value for name, value in cases.items() if value}
+        tables |= {"name": study.name, "scene": {"file": whole_path(study.scene.file), "parameters": parameters}}
+    texts = {SETTINGS_FILE: settings_text(first, command, **tables)}
+    shared: dict[str, Any] = {name: {} for name in type(first).model_fields if name not in OF_A_SENSOR}
     spreads = [{}] * len(files) if job.types is None else job.types.spreads
     for file, settings, spread in zip(files, job.base, spreads, strict=True):
-        texts[file] = settings_text(settings, f"(in the folder above) {command}", {"": spread}, **_all_but_sensor(settings))
+        texts[file] = settings_text(settings, f"(in the folder above) {command}", {"": spread}, **shared)
     return texts
-
-
-def _all_but_sensor(settings: Run) -> dict[str, Any]:
-    """Return empty tables in place of all that is not a sensor's own."""
-    return {name: {} for name in type(settings).model_fields if name not in OF_A_SENSOR}
-
-
-def _study_table(job: ComparisonJob, study: Study) -> dict[str, Any]:
-    """Return the tables of a study that makes the same cases: what all sensors share, the axes and the conditions."""
-    first = job.base[0]
-    shared = first.model_dump(mode="json", exclude_unset=True, include=set(SHARED) - set(OF_A_SENSOR))
-    groups = {group.first.condition: group for group in job.of_sensors()}
-    scene = {"file": whole_path(study.scene.file), "parameters": scene_table(job.shown.first.scene.path.parent, first.scene)}
-    conditions = [
-        condition.model_dump(mode="json") | {"set": _whole_settings(condition, groups[condition.name].first.scene.path.parent)}
-        for condition in study.condition
-    ]
-    cases: dict[str, Any] = {"condition": conditions} if conditions else {}
-    cases |= {"detail": list(study.detail)} if study.detail else {}
-    cases |= {"axis": [without_files_of_axis(axis.model_dump(mode="json")) for axis in study.axis]} if study.axis else {}
-    return {"name": study.name} | shared | {"scene": scene} | cases
-
-
-def _whole_settings(condition: Condition, folder: Path) -> dict[str, Any]:
-    """Return the settings of a condition with the whole paths of their files.
-
-    folder : of its scene
-    """
-    table = dict(condition.set)
-    if scene := table.get("scene"):
-        given = {"parameters": scene_table(folder, scene["parameters"])} if "parameters" in scene else {}
-        table["scene"] = given | ({"file": whole_path(scene["file"])} if "file" in scene else {})
-    others = ("lens", "veiling_glare"), ("lens", "relative_illumination"), ("develop", "tone_curve")
-    for part, name in (("pixel", "quantum_efficiency"), ("camera", "chief_ray_angle"), *others):
-        if isinstance(file := table.get(part, {}).get(name), str) and file not in TONE_CURVES:
-            table[part] = table[part] | {name: whole_path(file)}
-    if isinstance(colour := table.get("pixel", {}).get("colour"), dict):
-        files = {name: whole_path(colour[name]) for name in RESPONSES if isinstance(colour.get(name), str)}
-        table["pixel"] = table["pixel"] | {"colour": colour | files}
-    return table
 
 
 # --- the page ---------------------------------------------------------------------------------------------------------------------
@@ -302,20 +253,19 @@ def comparison_document(result: Comparison, warned: Collection[str] = ()) -> Doc
 
     warned : notes that a reader of the terminal has seen
     """
-    content = data(result)
-    answers = tuple(_answer(result, other) for other in result.names[1:])
-    stated = tuple(note for note in notes(result) if note not in warned)
-    lead = (*facts(result), Fact(common_words(result.job)), *stated)
+    answers = [_answer(result, other) for other in result.names[1:]]
+    common = Fact("; ".join(common_words(result.job)))
+    lead = (*facts(result), common, *(note for note in notes(result) if note not in warned))
     made = f"{result.shown.scene}, seed {result.shown.first.settings.seed}"
     return Document(
         command="compare",
         kind="comparison of sensors",
         title=" against ".join(result.names),
-        data=content,
+        data=data(result),
         cell=(*answers, Plot(lambda: scores_plate(result)), *lead, made),
         answers=answers,
         lead=lead,
-        about=(f"{DELTA_E} The mean over the picture is compared.",) if judged_by_delta_e(result.job) else (),
+        about=(DELTA_E,) if judged_by_delta_e(result.job.base[0]) else (),
         data_file=JSON_FILE,
     )
 
@@ -333,12 +283,9 @@ def comparison_page(result: Comparison, folder: str | os.PathLike[str]) -> Docum
         pictures[f"pictures/ideal_{sensor.name}.png"] = light_png(score.ideal)
         pictures[f"pictures/delta_e_{sensor.name}.png"] = delta_e_png(score.delta_e, where, end)
     rows_files = [name for name in ROWS_FILES if Path(folder, name).is_file()]
-
-    document = comparison_document(result)
-    stated = [block for block in document.lead if isinstance(block, Note)]
     return replace(
-        document,
-        lead=(_slider(result), *facts(result), *stated),
+        comparison_document(result),
+        lead=(_slider(result), *facts(result), *notes(result)),
         sections=_sections(result, pictures, end, rows_files),
         files={**pictures, **settings_files(result.job)},
     )
@@ -357,41 +304,46 @@ def _answer(result: Comparison, other: str) -> Answer:
     metric = asked_metrics(result.job)[0]
     if len(result.cases) > 1:
         return Answer((Strong(over_cases(result, other)),), named=True)
-    if metric.is_delta_e:
-        first, *turns = verdict(result, other).split("; ")
-        warnings = [*turns, *unconverged(result)]
-    else:
-        first, warnings = metric_verdict(result, other, metric), []
-    developed = developed_words(result.shown.first.settings.develop, [case.settings.pixel for case in result.shown.cases])
-    answer = headline([(Strong(first),), *warnings[:1]])
-    return Answer(answer.head, (*answer.below, *warnings[1:], *filter(None, [developed])), named=first.startswith(result.names))
+    sentence, *warnings = verdict_parts(result, other, metric)
+    warnings += doubts(result) if metric.is_delta_e else []
+    answer = headline([(Strong(sentence),), *warnings[:1]])
+    return Answer(answer.head, (*answer.below, *warnings[1:]), named=True)
 
 
 def facts(result: Comparison) -> Iterator[Block]:
-    """Yield a row for each sensor, the answers of cases and sensor types, and what the other metrics say."""
-    where = f" in {result.shown.first.condition}" if result.shown.first.condition else ""
-    first, *others = asked_metrics(result.job)
-    rows, shared = [], shared_stages(result.shown)
-    for sensor in result.sensors:
-        time = exposure_time(sensor.score.frame.integration_s)
-        words = f"{sensor_words(sensor.case)}, exposed for {time}{where}"
-        stages = [stage for stage in stage_words(sensor.case.settings) if stage not in shared]
-        mean = shown_mean(result, sensor.name) if first.is_delta_e else metric_mean(result, sensor.name, first)
-        rows.append((sensor.name, f"mean {mean}", ", ".join([words, *stages])))
-    yield DocumentTable("sensors", (), rows, words=None)
-    of_cases = [
-        f"{case.case.words or BASE}: {verdict(case, other) if first.is_delta_e else metric_verdict(case, other, first)}"
+    """Yield a table of the sensors, the answers of cases and sensor types, and those by the other metrics."""
+    first, *further = asked_metrics(result.job)
+    yield _sensors_table(result, first)
+    answers = [
+        f"{case.case.words or BASE}: {'; '.join(verdict_parts(case, other, first))}"
         for case in result.cases
         for other in result.names[1:]
+        if len(result.cases) > 1
     ]
-    listed = [*(of_cases if len(result.cases) > 1 else []), *map(pair_words, result.uncertainty)]
-    if listed:
-        yield Listed(listed)
-    for metric in others:
-        if metric.is_delta_e:
-            yield from (Fact(f"mean ΔE: {verdict(result, other)}") for other in result.names[1:])
-        else:
-            yield Fact(metric_words(result, metric))
+    answers += map(pair_words, result.uncertainty)
+    answers += ["; ".join(verdict_parts(result, other, metric)) for metric in further for other in result.names[1:]]
+    if answers:
+        yield Listed(answers)
+
+
+def _sensors_table(result: Comparison, metric: Metric) -> DocumentTable:
+    """Return a row for each sensor: its mean, its pixels, lens and exposure, and numbers of its first frame."""
+    condition, shared = result.shown.first.condition, shared_stages(result.shown)
+    unit = metric.unit and f" ({metric.unit})"
+    mean = "mean ΔE" if metric.is_delta_e else f"{metric.words}{unit}"
+    numbers = ("mean electrons", "full well", "saturated (%)")
+    rows = []
+    for sensor in result.sensors:
+        statistics = sensor.score.statistics()
+        stages = [stage for stage in stage_words(sensor.case.settings) if stage not in shared]
+        exposed = ", ".join([exposure_time(statistics["integration_s"]), *stages])
+        electrons = (rounded(statistics[name], 3) for name in ("mean_electrons_e", "full_well_e"))
+        saturated = rounded(100 * statistics["saturated_fraction"], 2)
+        rows.append(
+            (sensor.name, mean_words(result, sensor.name, metric), sensor_words(sensor.case), exposed, *electrons, saturated)
+        )
+    head = ("sensor", mean, "pixels and lens", f"exposure{condition and f' in {condition}'}", *numbers)
+    return DocumentTable("sensors", head, rows, words=(2,), stacks=True, wide=len(numbers))
 
 
 @figure(SCORES, SCORES_CAPTION)
@@ -401,41 +353,30 @@ def scores_plate(result: Comparison) -> Drawing:
     Its table has the number of each frame, under conditions their weighted mean.
     """
     metric = asked_metrics(result.job)[0]
-    label = "mean ΔE" if metric.is_delta_e else literal(metric.title)
-    of_sensors = [{name: case.frames(name, metric) for name in case.names} for case in result.cases]
-    rows = len(result.cases) if len(result.cases) > 1 else len(result.names)
-    drawing = new_figure(FIGURE_WIDTH_IN, FIGURE_BORDER_IN + ROW_IN * rows)
+    label = literal("mean ΔE" if metric.is_delta_e else metric.title)
+    several = len(result.cases) > 1
+    drawing = new_figure(FIGURE_WIDTH_IN, FIGURE_BORDER_IN + ROW_IN * len(result.cases if several else result.names))
     axes = drawing.add_subplot()
-    if len(result.cases) > 1:
-        for place, other in enumerate(result.names[1:]):
+    frames: list[dict[str, Any]] = []
+    for case in result.cases:
+        for row, name in enumerate(result.names):
+            values = case.frames(name, metric)
+            places = {"case": case.case.words, "sensor": name}
+            frames += [places | {"repeat": repeat, metric.columns[0]: value} for repeat, value in enumerate(values.tolist())]
+            if not several:
+                low, mean, high = mean_interval(values)
+                axes.plot(values, np.full(values.size, row), "o", color="tab:gray", alpha=0.5, markersize=4)
+                axes.errorbar([mean], [row], xerr=[[mean - low], [high - mean]], fmt="D", color=f"C{row}", capsize=5, markersize=5)
+    if several:
+        for other in result.names[1:]:
             pairs = [case.pairs(other, metric) for case in result.cases]
-            error = [of_case.half_width for of_case in pairs]
-            differences = [of_case.difference for of_case in pairs]
-            axes.errorbar(differences, range(rows), xerr=error, fmt="D", color=f"C{place}", capsize=4)
-        axes.axvline(0.0, color="0.5", lw=0.8)
-        axes.set_yticks(range(rows), [literal(case.case.words or BASE) for case in result.cases])
+            draw_differences(axes, pairs, [case.case.words or BASE for case in result.cases])
         axes.set_xlabel(f"{label} above that of {literal(result.names[0])}, with its 95 % interval")
     else:
-        (values_of,) = of_sensors
-        for row, values in enumerate(values_of.values()):
-            low, mean, high = mean_interval(values)
-            axes.plot(values, np.full(values.size, row), "o", color="tab:gray", alpha=0.5, markersize=4)
-            axes.errorbar([mean], [row], xerr=[[mean - low], [high - mean]], fmt="D", color=f"C{row}", capsize=5, markersize=5)
-        axes.set_yticks(range(rows), [literal(name) for name in result.names])
-        largest = max(float(values.max()) for values in values_of.values())
-        if largest > 0:
-            axes.set_xlim(0.0, 1.05 * largest)
+        label_rows(axes, result.names)
+        axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
         axes.set_xlabel(f"{label}: each frame (grey), and the mean with its 95 % interval")
-    axes.set_ylim(rows - 0.5, -0.5)  # the first one is on top
-
-    table: dict[str, list[Any]] = {"case": [], "sensor": [], "repeat": [], metric.columns[0]: []}
-    for case, values_of in zip(result.cases, of_sensors, strict=True):
-        for name, values in values_of.items():
-            table["case"] += [case.case.words] * values.size
-            table["sensor"] += [name] * values.size
-            table["repeat"] += range(values.size)
-            table[metric.columns[0]] += values.tolist()
-    return drawing, table
+    return drawing, columns_of(frames)
 
 
 # --- numbers for programs ---------------------------------------------------------------------------------------------------------
@@ -443,21 +384,24 @@ def scores_plate(result: Comparison) -> Drawing:
 
 def numbers(result: Comparison) -> dict[str, Any]:
     """Return the numbers that answer the question, as in compare.json."""
+    first, *others = result.names
+    displays = {
+        other: [_display_data(difference, (first, other)) for difference in result.display_differences(other)] for other in others
+    }
+    matches = {match: {other: result.pairs(other, match=match).difference for other in others} for match in result.job.matches}
+    verdicts = {other: "; ".join(verdict_parts(result, other)) for other in others}
+    return _differences_data(result) | {"displays": displays, "matches": matches, "verdicts": verdicts}
+
+
+def _differences_data(result: Comparison, condition: str | None = None) -> dict[str, Any]:
+    """Return the mean ΔE of the sensors and their differences, in the mean or under a condition, as in compare.json."""
+    pairs = {other: result.pairs(other, condition=condition) for other in result.names[1:]}
     return {
-        "scores": {name: list(score) for name, score in result.scores.items()},
-        "difference": result.difference,
-        "interval_delta_e": {name: list(ends) for name, ends in result.interval_delta_e.items()},
-        "probability_a_better": result.probability_a_better,
-        "film_delta_e": result.film_delta_e,
-        "displays": {
-            other: [_display_data(difference, (result.names[0], other)) for difference in result.display_differences(other)]
-            for other in result.names[1:]
-        },
-        "matches": {
-            match: {other: result.pairs(other, match=match).difference for other in result.names[1:]}
-            for match in result.job.matches
-        },
-        "verdicts": {other: verdict(result, other) for other in result.names[1:]},
+        "scores": {name: list(mean_interval(result.frames(name, condition=condition))) for name in result.names},
+        "difference": {other: of_pair.difference for other, of_pair in pairs.items()},
+        "interval_delta_e": {other: list(of_pair.interval) for other, of_pair in pairs.items()},
+        "probability_a_better": {other: of_pair.probability_a_better for other, of_pair in pairs.items()},
+        "film_delta_e": {other: result.film_of_pair(other, condition=condition) for other in pairs},
     }
 
 
@@ -509,18 +453,9 @@ def _settings_data(settings: Run) -> dict[str, Any]:
 
 def _condition_data(result: Comparison, group: SensorGroup) -> dict[str, Any]:
     """Return what compare.json has of one condition."""
-    name = group.first.condition
-    frames = {sensor: result.frames(sensor, condition=name) for sensor in result.names}
-    pairs = {other: result.pairs(other, condition=name) for other in result.names[1:]}
-    return {
-        "weight": group.weight,
-        "scores": {sensor: list(mean_interval(values)) for sensor, values in frames.items()},
-        "difference": {other: each.difference for other, each in pairs.items()},
-        "interval_delta_e": {other: list(each.interval) for other, each in pairs.items()},
-        "probability_a_better": {other: each.probability_a_better for other, each in pairs.items()},
-        "film_delta_e": {other: result.film_of_pair(other, condition=name) for other in pairs},
-        "delta_e": {sensor: values.tolist() for sensor, values in frames.items()},
-    }
+    condition = group.first.condition
+    delta_e = {name: result.frames(name, condition=condition).tolist() for name in result.names}
+    return {"weight": group.weight, "delta_e": delta_e, **_differences_data(result, condition)}
 
 
 def _pair_data(result: Comparison, other: str) -> dict[str, Any]:
@@ -532,10 +467,14 @@ def _pair_data(result: Comparison, other: str) -> dict[str, Any]:
 
 
 def _metric_data(result: Comparison, metric: Metric) -> dict[str, Any]:
-    """Return what compare.json has of a further metric."""
+    """Return what compare.json has of a further metric, in the frames of all sensors on one display."""
+    first, *others = result.names
+    frames = {name: result.frames(name, metric) for name in result.names}
     return {
-        "scores": {name: list(mean_interval(result.frames(name, metric))) for name in result.names},
-        "probability_a_better": {other: pairs_of_all(result, other, metric).probability_a_better for other in result.names[1:]},
+        "scores": {name: list(mean_interval(values)) for name, values in frames.items()},
+        "probability_a_better": {
+            other: Pairs((first, other), frames[first], frames[other], metric).probability_a_better for other in others
+        },
     }
 
 
@@ -543,12 +482,9 @@ def _sensor_data(sensor: ComparedSensor) -> dict[str, Any]:
     """Return the entry of compare.json; `statistics` are those of its first frame, as in score.json."""
     case, settings, score, light = sensor.case, sensor.case.settings, sensor.score, sensor.light
     return {
+        **_case_data(case),
         "file": case.file,
-        "pixels": list(pixels_of(case)),
         "statistics": score.statistics(),
-        "camera": case.camera.model_dump(),
-        "fov_deg": case.camera.fov_deg,
-        "pixel": settings.pixel.model_dump(),
         "assumption": settings.pixel.assumption,
         "exposure": settings.exposure.model_dump(),
         "border_um": list(score.border_um),
@@ -574,32 +510,15 @@ def _display_data(display: DisplayDifference, names: tuple[str, str]) -> dict[st
 # --- sections of the page -------------------------------------------------------------------------------------------------------
 
 
-PAIRED = (
-    "Intervals and probabilities are those of Student's t for {} pairs of frames, each of another pair of individual sensors: they "
-    "are of the mean of a sensor type. Frame number k has the same random seeds in all conditions."
-)
-UNKNOWN_TYPES = (
-    "Sensor types are drawn from the ranges of the technologies and from [pixel.uncertainty] of the data sheets. All have the same "
-    "random numbers; the film's error is not in these numbers."
-)
-MATRIX = (
-    "The matrix leads from the channels to the display's light. The larger its noise gains, the more of a sensor's noise is seen "
-    "as colour."
-)
+PAIRED = "Intervals and probabilities are those of Student's t for {} pairs of frames, each of another pair of individual sensors."
 
 
 def _slider(result: Comparison) -> Slider:
     """Return the picture of the first sensor beside that of another one, or the ideal image."""
-    first, *others = result.sensors
-    ideal = _picture(first.score.ideal, "ideal image")
-    return Slider(
-        id="slider",
-        heading=f"Pictures in {result.shown.words}" if result.shown.words else "",
-        left=_picture(first.score.image, first.name),
-        others=(*(_picture(sensor.score.image, sensor.name) for sensor in others), ideal),
-        left_words=f"the picture of {first.name}",
-        right_words="the chosen picture",
-    )
+    first, *others = [Picture(display_codes(reduced(sensor.score.image)), sensor.name) for sensor in result.sensors]
+    ideal = Picture(display_codes(reduced(result.sensors[0].score.ideal)), "ideal image")
+    heading = f"Pictures in {result.shown.words}" if result.shown.words else ""
+    return Slider("slider", heading, first, (*others, ideal), f"the picture of {first.name}", "the chosen picture")
 
 
 def _sections(result: Comparison, pngs: Mapping[str, bytes], end: float, rows_files: Sequence[str]) -> Iterator[Section]:
@@ -609,29 +528,27 @@ def _sections(result: Comparison, pngs: Mapping[str, bytes], end: float, rows_fi
     end : of the colour scale of the ΔE maps
     rows_files : of `ROWS_FILES`, those that are there
     """
-    job, group, sensors, names = result.job, result.shown, result.sensors, result.names
-    where = f" in {group.words}" if group.words else ""
+    job, sensors = result.job, result.sensors
     tables = [_differences(result, metric) for metric in asked_metrics(job)]
     yield Section("differences", "Differences", [*tables, Plot(lambda: scores_plate(result)), PAIRED.format(job.repeats)])
-    if judged_by_delta_e(job):
+    if judged_by_delta_e(job.base[0]):
         yield _detail(result, end)
-        yield Section("maps", "Maps of the errors", [_map(sensor, pngs) for sensor in sensors])
-    yield Section("numbers", f"Numbers{where}", [_numbers(result)])
-    probability = f"probability that {names[0]} is better (95 % interval)"
-    types = ("difference", "sensor types", probability, "5 %", "median", "95 %", "unknown")
-    unknown = DocumentTable("differences over sensor types", types, map(_unknown, result.uncertainty), words=(6,))
-    yield Section("unknown", "What is not known of the sensors", [UNKNOWN_TYPES, unknown] if result.uncertainty else ())
-    colours = [(sensor.name, colour_rows(sensor.colour, sensor.score.out_of_gamut)) for sensor in sensors if sensor.colour]
-    coloured = [DocumentTable(f"colours of {name}", (), rows, name, words=None) for name, rows in colours]
-    yield Section("colour", f"Colour{where}", [MATRIX, *coloured] if coloured else ())
-    yield budgets_section({sensor.name: sensor.budget for sensor in sensors if sensor.budget is not None})
-    yield Section("shared", "What the sensors share", [Listed(common_words(job).split("; "))])
-    yield Section("settings", "Settings", settings_blocks(list(_settings(result))))
-    files = comparison_files(job) | {name: words for name, words in ROWS_FILES.items() if name in rows_files}
-    listed = [
-        (Link(name, name), f": {words}")
-        for name, words in (files | {"pixsim.json": "versions, wall times, names of files"}).items()
+        maps = [Map(pngs[f"pictures/delta_e_{sensor.name}.png"], f"{sensor.name}, first frame: S-CIELAB ΔE.") for sensor in sensors]
+        yield Section("maps", "Maps of the errors", maps, folded=True)
+    coloured = [
+        DocumentTable(
+            f"colours of {sensor.name}", (), colour_rows(sensor.colour, sensor.score.out_of_gamut), sensor.name, words=None
+        )
+        for sensor in sensors
+        if sensor.colour
     ]
+    yield Section("colour", "Colour", coloured, folded=True)
+    yield budgets_section({sensor.name: sensor.budget for sensor in sensors if sensor.budget is not None})
+    yield Section("shared", "What the sensors share", [Listed(common_words(job))])
+    yield Section("settings", "Settings", _settings(result))
+    files = comparison_files(job) | {name: ROWS_FILES[name] for name in rows_files}
+    files["pixsim.json"] = "versions, wall times, names of files"
+    listed = [(Link(name, name), f": {words}") for name, words in files.items()]
     yield Section("files", "Files in this folder", [Listed(listed)], folded=True)
 
 
@@ -640,31 +557,19 @@ def _detail(result: Comparison, end: float) -> Section:
 
     end : of the colour scale of the ΔE maps
     """
-    sensors, job = result.sensors, result.job
-    maps = [sensor.score.delta_e for sensor in sensors]
-    centre, shape = None if job.study is None else job.study.detail, (maps[0].shape[0], maps[0].shape[1])
-    window = window_at(centre, shape) if centre else worst_window([np.abs(other - maps[0]) for other in maps[1:]])
-    title = "The detail chosen in the settings" if centre else "Where the errors differ most"
+    study, (first, *others) = result.job.study, result.sensors
+    rows, columns = first.score.delta_e.shape
+    window = worst_window([np.abs(other.score.delta_e - first.score.delta_e) for other in others])
+    title = "Where the errors differ most"
+    if study is not None and study.detail:
+        window = window_at(study.detail, (rows, columns))
+        title = "The detail chosen in the settings"
     details = [
         Section("", sensor.name, [Pictures((crops(sensor.score, window, f"the picture of {sensor.name}", end),), title.lower())])
-        for sensor in sensors
+        for sensor in result.sensors
     ]
-    sizes = size_words(factor_for(sensors[0].score.image), result.shown.display.samples_per_deg)
+    sizes = size_words(factor_for(first.score.image), result.shown.display.samples_per_deg)
     return Section("detail", title, (*details, DeltaEScale(scale(end)), sizes), together=True)
-
-
-def _numbers(result: Comparison) -> DocumentTable:
-    """Return the numbers of each sensor in the shown group."""
-    condition = result.shown.first.condition or None
-    head = ["sensor", "pixels", "pitch (µm)", "lens", "exposure", "mean electrons", "full well", "saturated"]
-    rows = [list(_row(sensor)) for sensor in result.sensors]
-    if judged_by_delta_e(result.job):
-        head[1:1] = ["mean ΔE", "99th percentile"]
-        head.append("film's error (ΔE)")
-        for sensor, row in zip(result.sensors, rows, strict=True):
-            row[1:1] = [shown_mean(result, sensor.name, condition), f"{sensor.score.statistics()['p99_delta_e']:.3g}"]
-            row.append("unknown" if math.isnan(sensor.film_delta_e) else f"{sensor.film_delta_e:.1g}")
-    return DocumentTable("numbers of each sensor", head, map(tuple, rows))
 
 
 def _differences(result: Comparison, metric: Metric) -> DocumentTable:
@@ -672,97 +577,62 @@ def _differences(result: Comparison, metric: Metric) -> DocumentTable:
 
     Those of ΔE are also by each match, and on each display.
     """
-    better = f"probability that {result.names[0]} is better"
-    head = ("case", "sensors", "mean", "95 % interval", better) + (("film's error, at most",) if metric.is_delta_e else ())
+    first, *others = result.names
     rows: list[tuple[str, ...]] = []
-    for case in result.cases:
+
+    def add(where: Sequence[str], other: str, cells: tuple[str, ...], film: float | None) -> None:
+        film_cells = ["unknown" if film is None else rounded(film, 2)] if metric.is_delta_e else []
+        rows.append((", ".join(filter(None, where)), f"{other} − {first}", *cells, *film_cells))
+
+    matches = result.job.matches if metric.is_delta_e else result.job.matches[:1]
+    for case, other in product(result.cases, others):
         conditions = [group.first.condition for group in case.groups() if group.first.condition]
-        for other in result.names[1:]:
-            pair = f"{other} − {result.names[0]}"
-            for match, condition in product(
-                result.job.matches if metric.is_delta_e else result.job.matches[:1], (None, *conditions)
-            ):
-                pairs = case.pairs(other, metric, match=match, condition=condition)
-                words = [case.case.words, condition or ("weighted mean" if conditions else ""), f"match {match}"]
-                cells = (*difference_cells(pairs.difference, pairs.interval), probability(pairs.probability_a_better, pairs.a.size))
-                film = (film_cell(case.film_of_pair(other, match, condition)),) if metric.is_delta_e else ()
-                rows.append((", ".join(filter(None, words)), pair, *cells, *film))
-            for display in case.display_differences(other)[1:] if metric.is_delta_e else ():
-                words = [case.case.words, f"{display.dots} dots"]
-                cells = (*difference_cells(display.difference, display.interval_delta_e), "")
-                rows.append((", ".join(filter(None, words)), pair, *cells, film_cell(display.film_delta_e)))
-    name = "mean ΔE" if metric.is_delta_e else metric.words
-    return DocumentTable(f"differences of {name}", head, rows, "" if metric.is_delta_e else metric.title, words=(1,))
+        for match, condition in product(matches, (None, *conditions)):
+            pairs = case.pairs(other, metric, match=match, condition=condition)
+            mean = "weighted mean" if conditions else ""
+            film = case.film_of_pair(other, match, condition)
+            add([case.case.words, condition or mean, f"match {match}"], other, pair_cells(pairs), film)
+        for display in case.display_differences(other)[1:] if metric.is_delta_e else ():
+            cells = difference_cells(display.difference, display.interval_delta_e)
+            add([case.case.words, f"{display.dots} dots"], other, (*cells, ""), display.film_delta_e)
+    head = ("case", "sensors", "mean", "95 % interval", f"probability that {first} is better")
+    head += ("film's error, at most",) if metric.is_delta_e else ()
+    name = "mean ΔE" if metric.is_delta_e else metric.title
+    return DocumentTable(f"differences of {name}", head, rows, "" if metric.is_delta_e else name, words=(1,))
 
 
-def _picture(luminance: Array, name: str) -> Picture:
-    return Picture(display_codes(reduced(luminance)), name)
-
-
-def _map(sensor: ComparedSensor, pngs: Mapping[str, bytes]) -> Map:
-    """Return the ΔE map of a sensor."""
-    statistics = sensor.score.statistics()
-    words = f"{sensor.name}, first frame: S-CIELAB ΔE. One dot in a hundred has more than {statistics['p99_delta_e']:.3g}."
-    return Map(pngs[f"pictures/delta_e_{sensor.name}.png"], words)
-
-
-def _row(sensor: ComparedSensor) -> tuple[str, ...]:
-    """Return a sensor's row of the page's table of numbers, without those of ΔE."""
-    statistics = sensor.score.statistics()
-    (rows, columns), pixel = pixels_of(sensor.case), sensor.case.settings.pixel
-    return (
-        sensor.name,
-        f"{columns} × {rows}",
-        f"{pixel.pitch_um:g}",
-        sensor.case.camera.lens_words,
-        exposure_time(statistics["integration_s"]),
-        rounded(statistics["mean_electrons_e"], 4),
-        rounded(statistics["full_well_e"], 4),
-        f"{100 * statistics['saturated_fraction']:.2g} %",
-    )
-
-
-def film_cell(film_delta_e: float | None) -> str:
-    """Return the largest error of a difference that the film may cause."""
-    return "unknown" if film_delta_e is None else f"{film_delta_e:.2g}"
-
-
-def _unknown(drawn: PairUncertainty) -> tuple[str, ...]:
-    """Return a row of the page's table of what is not known of the sensors."""
-    better, ends, metric = drawn.probability_a_better, drawn.difference.quantiles, drawn.metric
-    form, judge = (".4f", "") if metric.is_delta_e else (".4g", f", {metric.words}{metric.unit and f' ({metric.unit})'}")
-    return (
-        f"{drawn.names[1]} − {drawn.names[0]}{judge}",
-        str(better.draws),
-        str(better),
-        *(f"{ends[name]:+{form}}" for name in ("p05", "p50", "p95")),
-        largest_share_words(drawn),
-    )
-
-
-def _settings(result: Comparison) -> Iterator[DocumentTable]:
-    """Yield the settings of all sensors, then each sensor's own, then what each condition sets."""
-    job, group, first = result.job, result.shown, result.sensors[0]
-    coloured = any(sensor.case.settings.pixel.colour for sensor in result.sensors)
-    times_s = [sensor.score.frame.integration_s for sensor in result.sensors]
-    level = LightLevel.of(first.light.image, group.display, times_s)
+def _settings(result: Comparison) -> list[Block]:
+    """Return the settings of each sensor side by side, then those of all sensors, and what each condition sets."""
+    group, study = result.shown, result.job.study
+    is_coloured = any(case.settings.pixel.colour for case in group.cases)
+    light = result.sensors[0].light.image
+    level = LightLevel.of(light, group.display, [sensor.score.frame.integration_s for sensor in result.sensors])
     seed = group.first.settings.seed
-    seed_row = ("seed", seed, "of all random numbers", "set" if seed else "default")
-    yield settings_table("scene", [*scene_rows(first.light.image, first.case.settings.scene, level), seed_row])
-    yield settings_table("display", record_rows("display", group.display, False, coloured=coloured))
-    develop = group.first.settings.develop
-    if coloured or develop.words:
-        yield settings_table("develop", record_rows("develop", develop, False, coloured=coloured))
-    for sensor in result.sensors:
-        settings = sensor.case.settings
-        sheet = settings.pixel.technology == NO_TECHNOLOGY
-        records: dict[str, Record] = {"camera": sensor.case.camera, "pixel": settings.pixel, "exposure": settings.exposure}
-        for name, record in records.items():
-            yield settings_table(f"{sensor.name}: {name}", record_rows(name, record, sheet))
-    for condition in () if job.study is None else job.study.condition:
-        values = [(path, reduce(getitem, path, condition.set)) for path in paths_of(condition.set)]
-        rows = [(".".join(path), setting_value(value, path[-1]), "", "set") for path, value in values]
-        yield settings_table(f"condition {condition.name}", rows)
+    scene = scene_rows(light, group.first.settings.scene, level)
+    scene.append(("seed", seed, "of all random numbers", "set" if seed else "default"))
+
+    shared: list[DocumentTable] = []
+    values: dict[str, dict[str, Text]] = {}
+    changed: set[str] = set()
+    for case in group.cases:
+        pixel = case.settings.pixel
+        tables = settings_tables(scene, case.settings, case.camera, pixel, is_coloured, pixel.technology == NO_TECHNOLOGY)
+        shared = shared or [table for table in tables if table.name not in OF_A_SENSOR]
+        for table in tables:
+            for name, value, _, source in table.rows if table.name in OF_A_SENSOR else ():
+                setting = f"{table.name}.{name}"
+                values.setdefault(setting, {})[case.sensor] = value
+                changed |= {setting} if source not in DEFAULTS else set()
+    for condition in () if study is None else study.condition:
+        stated = {path: reduce(getitem, path, condition.set) for path in paths_of(condition.set)}
+        rows = [(".".join(path), setting_value(value, path[-1]), "", "set") for path, value in stated.items()]
+        shared.append(settings_table(f"condition {condition.name}", rows))
+
+    head = ("setting", *result.names)
+    rows_of = {setting: (setting, *(of_sensor.get(name, "") for name in result.names)) for setting, of_sensor in values.items()}
+    own = DocumentTable("settings of the sensors", head, [row for name, row in rows_of.items() if name in changed], words=None)
+    others = replace(own, rows=[row for name, row in rows_of.items() if name not in changed])
+    return [own, *settings_blocks(shared), Section("", "All other settings of the sensors", [others], folded=True)]
 
 
 def _page(result: Comparison, options: PageOptions) -> Document:

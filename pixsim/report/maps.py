@@ -5,28 +5,26 @@ They are of the study's first metric, which need not be ΔE; tables have the opt
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations, count, product
+from itertools import combinations, product
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.records import content_hash
-from pixsim.base.tables import Column
+from pixsim.base.tables import Column, columns_of
 from pixsim.base.units import unit_of
-from pixsim.optics.camera import Camera
 from pixsim.report.curve import closed_range, fitted_at, fresnel_column, range_columns
 from pixsim.sensor.labels import labels_of
 from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, Look, literal, new_figure, plain_powers
 from pixsim.show.pages import Drawing, Plate, figure
-from pixsim.studies.claims import REFERENCE_TECHNOLOGY
 from pixsim.studies.curve import Curve
 from pixsim.studies.design import BASE, cutoff_pitch_um, of_technology
+from pixsim.studies.optimum import Optimum
 from pixsim.studies.result import CasesResult, StudyResult
 from pixsim.studies.settings import Axis, Study, setting_path
 
@@ -37,12 +35,10 @@ if TYPE_CHECKING:
     from matplotlib.transforms import Transform
 
 Item = TypeVar("Item")
-MAX_LINES = 6  # of a figure: as many looks that a reader tells apart
-MAX_PANELS = 6
+MAX_PANELS = 6  # of a figure, or lines: as many looks that a reader tells apart
 MAX_ROWS = 3  # of panels of axes that are moved alone
 MAX_BARS = 24  # of all panels of axes that are moved alone, if there are several
-MAX_VALUES = 50  # of an axis in a figure
-LOG_SPAN = 10.0  # of values whose ratios are more even than their steps, above which their scale is logarithmic
+LOG_SPAN = 10.0  # ratio of listed values, or of those of a map, above which their scale is logarithmic
 MAP_SIZES = 41  # pixel sizes of a map
 CONTOURS = 7
 NUMBERED_CELLS = 6  # along either side of a map with numbers in its cells
@@ -51,31 +47,23 @@ PT_PER_IN = 72.0
 SMALL_PT, CELL_PT = 8.0, 7.5  # fonts
 # Characters of a line's label in a figure, of the name of an axis, and of a label at a tick.
 SHORT, SHORT_AXIS, SHORT_TICK = 36, 32, 16
-LEAST_SPAN = 0.02  # of a value, for the colours of a map and the axis of a bar
-ARROW_PT = 8.0  # from the end of the sizes tried to the arrow of an open end
+LEAST_SPAN = 0.02  # of a value, for the colours of a map: rounding errors would look like changes
 DODGE_PT = 3.0  # between lines, whose bars would hide each other
 PIXEL_SIZE = "optimal pixel size (µm)"
 ON_CELL = {"facecolor": "white", "alpha": 0.6, "edgecolor": "none", "pad": 1}  # of the numbers in a map
 
 
 def short(text: str, most: int = SHORT) -> str:
-    """Return text that fits in a figure."""
-    return text if len(text) <= most else text[: most - 1] + "…"
+    """Return text that fits in a figure, as Matplotlib draws it literally."""
+    return literal(text if len(text) <= most else text[: most - 1] + "…")
 
 
-def evenly(items: Sequence[Item], number: int) -> list[Item]:
-    """Return that many items at equal steps, the first and the last among them; a single one is the middle one."""
-    if number == 1:
-        return [items[(len(items) - 1) // 2]]
-    return [items[round(place * (len(items) - 1) / (number - 1))] for place in range(number)]
-
-
-def fewer(counts: Sequence[int], most: int) -> list[int]:
-    """Return counts whose product is at most `most`, the largest ones reduced first, of equal ones the first."""
-    kept = list(counts)
-    while math.prod(kept) > most:
-        kept[kept.index(max(kept))] -= 1
-    return kept
+def evenly(items: Sequence[Item], most: int) -> Sequence[Item]:
+    """Return at most that many items at equal steps, the first and the last among them; a single one is the middle one."""
+    if len(items) <= most:
+        return items
+    places = np.linspace(0, len(items) - 1, most) if most > 1 else [(len(items) - 1) // 2]
+    return [items[round(place)] for place in places]
 
 
 # --- the values of an axis -----------------------------------------------------------------------------------------------
@@ -87,30 +75,39 @@ class Scale:
 
     unit : empty if there is none, or there are several
     log : whether the figure's scale is logarithmic
-    total : number of values of the study, of which a figure may have fewer
     """
 
     name: str
     values: tuple[float | int | str, ...]
     unit: str = ""
     log: bool = False
-    total: int = 0
 
     @classmethod
     def of(cls, axis: Axis) -> Scale:
-        """Return the scale of an axis: logarithmic if its values are spaced so, categories if they are not numbers."""
+        """Return the scale of an axis: logarithmic if its values are, or are listed and span a factor of 10."""
         values: list[Any] = [point.value for point in axis.points]
+        if any(isinstance(value, str) for value in values):
+            return cls(axis.name, tuple(values))
+        values.sort()
         units = {unit_of(setting_path(dotted)[-1]) for dotted in axis.set}
-        numeric = not any(isinstance(value, str) for value in values)
-        values = sorted(values) if numeric else values
-        unit = units.pop() if numeric and len(units) == 1 else ""
-        log = numeric and (axis.spacing == "log" or _even_in_ratios(values))
-        return cls(axis.name, tuple(evenly(values, min(len(values), MAX_VALUES))), unit, log, len(values))
+        is_listed_over_a_decade = axis.values is not None and values[-1] > LOG_SPAN * values[0] > 0
+        log = axis.spacing == "log" or is_listed_over_a_decade
+        return cls(axis.name, tuple(values), units.pop() if len(units) == 1 else "", log)
 
     @property
     def numeric(self) -> bool:
         """Whether the values are numbers, not categories."""
         return not any(isinstance(value, str) for value in self.values)
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """The values as text, numbers to four digits."""
+        return tuple(value if isinstance(value, str) else f"{value:.4g}" for value in self.values)
+
+    @property
+    def categories(self) -> Scale:
+        """The values as labels, in cells of one size."""
+        return replace(self, values=self.texts, log=False)
 
     def named(self, value: float | int | str) -> str:
         """Return a value with its unit and the name of the axis; a label stands for itself."""
@@ -124,162 +121,97 @@ class Scale:
     @cached_property
     def edges(self) -> Array:
         """Borders of the values' cells in a map, half-way between them, (n + 1,)."""
-        at = np.log(self.places) if self.log else self.places
-        if at.size == 1:
-            half = math.log(2.0) if self.log else abs(float(at[0])) / 2 or 0.5
-            edges = np.array([at[0] - half, at[0] + half])
-        else:
-            between = (at[1:] + at[:-1]) / 2
-            edges = np.array([1.5 * at[0] - 0.5 * at[1], *between, 1.5 * at[-1] - 0.5 * at[-2]])
+        centres = np.log(self.places) if self.log else self.places
+        steps = np.diff(centres) if centres.size > 1 else np.array([abs(centres[0]) or 1.0])
+        edges = np.concatenate([centres[:1] - steps[0] / 2, centres[1:] - steps / 2, centres[-1:] + steps[-1] / 2])
         return np.exp(edges) if self.log else edges
-
-    @property
-    def categories(self) -> Scale:
-        """The values as labels, in cells of one size."""
-        return replace(self, values=tuple(value if isinstance(value, str) else f"{value:.4g}" for value in self.values), log=False)
-
-    @property
-    def label(self) -> str:
-        """Name and unit, for a figure."""
-        name = short(self.name, SHORT_AXIS)
-        return literal(f"{name} ({self.unit})" if self.unit else name)
 
     def draw_on(self, axis: XAxis | YAxis, characters: int) -> None:
         """Set an axis of a figure, with labels for about that many characters beside or above one another."""
-        set_scale = axis.axes.set_xscale if axis.axis_name == "x" else axis.axes.set_yscale
-        set_ends = axis.axes.set_xlim if axis.axis_name == "x" else axis.axes.set_ylim
-        if self.log:
-            set_scale("log")
+        name = self.name if len(self.name) <= SHORT_AXIS else self.name[: SHORT_AXIS - 1] + "…"
+        label = f"{name} ({self.unit})" if self.unit else name
+        settings = {"scale": "log" if self.log else "linear", "lim": self.edges[[0, -1]].tolist(), "label": literal(label)}
+        axis.axes.set(**{f"{axis.axis_name}{setting}": value for setting, value in settings.items()})
         if self.log or not self.numeric:
             self._draw_ticks(axis, characters)
-        set_ends(float(self.edges[0]), float(self.edges[-1]))
-        axis.set_label_text(self.label)
 
     def _draw_ticks(self, axis: XAxis | YAxis, characters: int) -> None:
         """Label the values; of very many, evenly chosen ones."""
-        texts = [short(str(value), SHORT_TICK) for value in self.categories.values]
-        tilted = axis.axis_name == "x" and sum(len(text) + 2 for text in texts) > characters
-        room = characters // 4 if tilted or axis.axis_name == "y" else len(texts)
-        shown = evenly(range(len(texts)), min(len(texts), room))
-        axis.set_ticks(self.places[shown].tolist(), [literal(texts[place]) for place in shown])
+        texts = [short(text, SHORT_TICK) for text in self.texts]
+        is_tilted = axis.axis_name == "x" and sum(len(text) + 2 for text in texts) > characters
+        room = characters // 4 if is_tilted or axis.axis_name == "y" else len(texts)
+        ticks = evenly(list(zip(self.places.tolist(), texts, strict=True)), room)
+        axis.set_ticks(*zip(*ticks, strict=True))
         axis.set_tick_params(which="minor", bottom=False, left=False, labelbottom=False, labelleft=False)
-        if tilted:
+        if is_tilted:
             for label in axis.get_ticklabels():
                 label.set(rotation=30, ha="right", rotation_mode="anchor")
-
-
-def _even_in_ratios(values: Sequence[float]) -> bool:
-    """Return whether increasing numbers span more than a factor of `LOG_SPAN`, and their ratios differ less than their steps."""
-    if len(values) < 2 or values[0] <= 0 or values[-1] <= LOG_SPAN * values[0]:
-        return False
-    steps, ratios = np.diff(values), np.diff(np.log(values))
-    return bool(ratios.max() / ratios.min() <= steps.max() / steps.min())
 
 
 # --- the curves of a study by axes ---------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Line:
-    """The curves along an axis, of one technology, condition and value of the other axes, with the cameras of their cases."""
+class Panel:
+    """The curves of a panel, or of a line, of a figure.
+
+    label : what tells it from others
+    rows : of curves, for each value of one axis those along another one; None for a case that the study leaves out
+    """
 
     label: str
-    curves: tuple[Curve, ...]
-    cameras: tuple[Camera, ...]
+    rows: tuple[tuple[Curve | None, ...], ...]
 
     @property
-    def optima_um(self) -> Array:
-        """The best pixel size of each curve."""
-        return np.array([curve.optimum.pitch_um for curve in self.curves])
+    def curves(self) -> list[Curve]:
+        """All curves, row by row."""
+        return [curve for row in self.rows for curve in row if curve is not None]
 
-    @property
-    def inside(self) -> Array:
-        """Whether each best size lies inside the sizes tried."""
-        return np.array([curve.optimum.inside for curve in self.curves])
+    def places(self, scale: Scale) -> Array:
+        """Return the places of the curves of a single row, (n,)."""
+        return scale.places[[curve is not None for curve in self.rows[0]]]
 
 
 class Grid:
     """The curves of a study by their technology, condition and values of the axes that are not moved alone.
 
-    scales : of those axes
-    technologies : labels; one that is empty if an axis or a condition changes the technology
-    conditions : names; one that is empty in a study without conditions
+    sides : technologies, conditions, and values of each axis
+    scales : of the axes
     """
 
     def __init__(self, result: CasesResult) -> None:
         self.result = result
-        self.scales = [Scale.of(axis) for axis in result.study.axis if not axis.alone]
-        self.conditions = [condition.name for condition in result.study.condition] or [""]
-        names = {tuple(curve.technology for curve in part.curves) for part in result.parts}
-        self.technologies = list(labels_of(names.pop())) if len(names) == 1 else [""]
-        self._cases: dict[tuple[Any, ...], StudyResult] = {}
-        for part in result.parts:
-            first = part.curves[0]
-            if not first.alone:
-                self._cases.setdefault((first.condition, *(first.at[scale.name] for scale in self.scales)), part)
-        self._drop_incomplete()
+        curves = [curve for part in result.parts for curve in part.curves if not curve.alone]
+        self.scales = [Scale.of(axis) for axis in result.study.axis if not axis.alone] if curves else []
 
-    def _drop_incomplete(self) -> None:
-        """Leave out conditions and values of axes until all cases of the others are there: a study may leave out cases.
+        # Where a case has one technology, an axis may change it, which then is no side of its own.
+        technologies = list(dict.fromkeys(curve.technology for curve in curves))
+        is_side = any(len(part.curves) > 1 for part in result.parts)
+        labels = dict(zip(technologies, labels_of(technologies) if is_side else [""] * len(technologies), strict=True))
+        conditions = tuple(condition.name for condition in result.study.condition) or ("",)
+        self.sides = [Scale("technology", tuple(dict.fromkeys(labels.values()))), Scale("condition", conditions), *self.scales]
+        self.curves = {
+            (labels[curve.technology], curve.condition, *(curve.at[scale.name] for scale in self.scales)): curve for curve in curves
+        }
 
-        First those that lack most of their cases.
+    def panels(self, across: Scale, up: Scale | None = None) -> tuple[Sequence[Panel], str]:
+        """Return panels over one or two axes, at most 6, evenly chosen, and how many these are of all if they are not all.
+
+        There is one for each technology, condition and value of the other axes of which a case is there.
         """
-        if not self._cases:
-            self.scales = []
-            return
-        sides: list[list[Any]] = [[*self.conditions], *([*scale.values] for scale in self.scales)]
-        while missing := [key for key in product(*sides) if key not in self._cases]:
-            lacking = {
-                (place, value): sum(key[place] == value for key in missing) * len(side)
-                for place, side in enumerate(sides)
-                for value in side
-                if len(side) > 1
-            }
-            place, value = max(lacking, key=lambda item: lacking[item])
-            sides[place].remove(value)
-        self.conditions = sides[0]
-        self.scales = [replace(scale, values=tuple(side)) for scale, side in zip(self.scales, sides[1:], strict=True)]
-
-    def line(self, along: Scale, technology: int, condition: str, at: Mapping[str, Any], label: str = "") -> Line:
-        """Return the curves along an axis."""
-        parts = []
-        for value in along.values:
-            values = {**at, along.name: value}
-            parts.append(self._cases[(condition, *(values[scale.name] for scale in self.scales))])
-        return Line(label, tuple(part.curves[technology] for part in parts), tuple(part.camera for part in parts))
-
-    def lines(self, along: Scale, swept: Sequence[Scale], held: Mapping[str, Any], most: int) -> tuple[list[Line], int]:
-        """Return at most `most` lines along an axis, evenly chosen, and the number of all.
-
-        There is one for each technology, condition and value of the swept axes.
-
-        held : value of each of the other axes
-        """
-        sizes = [*(len(scale.values) for scale in swept), len(self.technologies), len(self.conditions)]
-        counts = fewer(sizes, most)
-        swept_values = [evenly(scale.values, number) for scale, number in zip(swept, counts, strict=False)]
-        technologies = evenly(range(len(self.technologies)), counts[-2])
-        lines = []
-        for place, condition, values in product(technologies, evenly(self.conditions, counts[-1]), product(*swept_values)):
-            words = [self.technologies[place]] if len(self.technologies) > 1 else []
-            words += [condition] if len(self.conditions) > 1 else []
-            words += [scale.named(value) for scale, value in zip(swept, values, strict=True) if len(scale.values) > 1]
-            at = {**held, **{scale.name: value for scale, value in zip(swept, values, strict=True)}}
-            lines.append(self.line(along, place, condition, at, ", ".join(words)))
-        return lines, math.prod(sizes)
-
-    def middle(self, but: Sequence[Scale]) -> dict[str, Any]:
-        """Return the middle value of every other axis."""
-        return {scale.name: evenly(scale.values, 1)[0] for scale in self.scales if scale not in but}
-
-    def title(self, held: Mapping[str, Any], lines: int, total: int, shown: Sequence[Scale]) -> str:
-        """Return the values at which axes are held, and how much of the study a figure shows, if not all."""
-        words = [scale.named(held[scale.name]) for scale in self.scales if scale.name in held and len(scale.values) > 1]
-        words += [f"{lines} of {total} lines or panels"] if lines < total else []
-        words += [
-            f"{len(scale.values)} of {scale.total} values of {scale.name}" for scale in shown if len(scale.values) < scale.total
-        ]
-        return literal("; ".join(words))
+        others = [scale for scale in self.sides if scale not in (across, up)]
+        panels = []
+        for values in product(*(scale.values for scale in others)):
+            at: dict[str, Any] = {scale.name: value for scale, value in zip(others, values, strict=True)}
+            rows = []
+            for y in up.values if up else [""]:
+                places = [at | {across.name: x, up.name if up else "": y} for x in across.values]
+                rows.append(tuple(self.curves.get(tuple(place[scale.name] for scale in self.sides)) for place in places))
+            named = [scale.named(value) for scale, value in zip(others, values, strict=True) if len(scale.values) > 1]
+            panels.append(Panel(", ".join(named), tuple(rows)))
+        panels = [panel for panel in panels if panel.curves]
+        drawn = evenly(panels, MAX_PANELS)
+        return drawn, f"{len(drawn)} of {len(panels)} lines or panels" if len(drawn) < len(panels) else ""
 
     def columns(self, curves: Sequence[Curve]) -> dict[str, Column]:
         """Return the columns that tell curves apart: technology, condition, and a column named by each axis."""
@@ -308,11 +240,15 @@ OWN_COLUMNS = (
 
 def unique_names(names: Sequence[str], taken: Sequence[str] = ()) -> list[str]:
     """Return names that differ by more than case from each other and from those taken, numbered where they would not."""
-    used, unique = {name.casefold() for name in taken}, []
+    used = {name.casefold() for name in taken}
+    unique = []
     for name in names:
-        free = next(text for number in count(1) if (text := name if number == 1 else f"{name}_{number}").casefold() not in used)
-        used.add(free.casefold())
-        unique.append(free)
+        text, number = name, 1
+        while text.casefold() in used:
+            number += 1
+            text = f"{name}_{number}"
+        used.add(text.casefold())
+        unique.append(text)
     return unique
 
 
@@ -320,39 +256,41 @@ def optimum_columns(curves: Sequence[Curve]) -> dict[str, Column]:
     """Return the optima with their intervals, empty for an open end, and the best value, as the least mean ΔE, with its interval.
 
     inside : whether the optimum lies between the ends of the sizes tried
+
+    Further metrics have columns of their own, empty where one tells no optimum.
     """
-    optima, name = [curve.optimum for curve in curves], best_column(curves[0])
+    value = best_column(curves[0])
+    further = [metric.name for metric in curves[0].metrics[1:] if any(metric.name in curve.optima for curve in curves)]
+    rows = []
+    for curve in curves:
+        low, high = curve.optimum.value_interval
+        row = _optimum_cells(curve.optimum, "", value)
+        row |= {"inside": str(curve.optimum.inside), f"{value}_low": low, f"{value}_high": high}
+        for metric in further:
+            row |= _optimum_cells(curve.optima.get(metric), f"{metric}_", f"best_{metric}")
+        rows.append(row)
+    return columns_of(rows) | fresnel_column(curves, [curve.optimum.pitch_um for curve in curves])
+
+
+def _optimum_cells(best: Optimum | None, prefix: str, value: str) -> dict[str, float | str | None]:
+    """Return the cells of an optimum by one metric.
+
+    prefix : of the names of columns
+    value : name of the column of the best value
+    """
+    low_um, high_um = best.interval_um if best else (None, None)
     return {
-        "optimum_um": [best.pitch_um for best in optima],
-        **range_columns("interval", curves),
-        "between_sizes_share": [best.between_sizes_share for best in optima],
-        "inside": [str(best.inside) for best in optima],
-        name: [best.value for best in optima],
-        f"{name}_low": [best.value_interval[0] for best in optima],
-        f"{name}_high": [best.value_interval[1] for best in optima],
-        **fresnel_column(curves, [best.pitch_um for best in optima]),
-        **{name: column for metric in curves[0].metrics[1:] for name, column in _metric_columns(metric.name, curves).items()},
+        f"{prefix}optimum_um": best and best.pitch_um,
+        f"{prefix}interval_low_um": low_um,
+        f"{prefix}interval_high_um": high_um,
+        f"{prefix}between_sizes_share": best and best.between_sizes_share,
+        value: best and best.value,
     }
 
 
 def best_column(curve: Curve) -> str:
     """Return the name of a column of the best values by a curve's first metric."""
     return "mean_delta_e" if curve.judged_by_delta_e else f"best_{curve.metric.name}"
-
-
-def _metric_columns(metric: str, curves: Sequence[Curve]) -> dict[str, Column]:
-    """Return the optima by a further metric, empty where it tells none; no columns where it tells none at all."""
-    optima = [curve.optima.get(metric) for curve in curves]
-    if not any(optima):
-        return {}
-    values: dict[str, list[float | None]] = {
-        f"{metric}_optimum_um": [None if best is None else best.pitch_um for best in optima],
-        f"{metric}_interval_low_um": [None if best is None else best.interval_um[0] for best in optima],
-        f"{metric}_interval_high_um": [None if best is None else best.interval_um[1] for best in optima],
-        f"{metric}_between_sizes_share": [None if best is None else best.between_sizes_share for best in optima],
-        f"best_{metric}": [None if best is None else best.value for best in optima],
-    }
-    return {name: ["" if value is None else value for value in column] for name, column in values.items()}
 
 
 # --- figures of axes -----------------------------------------------------------------------------------------------------
@@ -387,19 +325,18 @@ def optimum_along(grid: Grid, scale: Scale) -> Drawing:
     """Plot the optimum with its interval along an axis, a line for each technology, condition and value of the other axes."""
     from matplotlib.transforms import ScaledTranslation
 
-    others = [other for other in grid.scales if other is not scale]
-    lines, total = grid.lines(scale, others, {}, MAX_LINES)
+    lines, title = grid.panels(scale)
     figure = new_figure(WIDTH_IN, 3.8)
     axes = figure.subplots()
     scale.draw_on(axes.xaxis, 70)
     apart_pt = min(DODGE_PT, 0.6 * WIDTH_IN * PT_PER_IN / len(scale.values) / len(lines))
     for number, (line, look) in enumerate(zip(lines, LOOKS, strict=False)):
         aside_in = apart_pt * (number - (len(lines) - 1) / 2) / PT_PER_IN
-        place = axes.transData + ScaledTranslation(aside_in, 0, figure.dpi_scale_trans)
-        draw_optima(axes, scale, line, look, place)
+        draw_optima(axes, scale, line, look, axes.transData + ScaledTranslation(aside_in, 0, figure.dpi_scale_trans))
+    axes.autoscale_view(scalex=False)
     axes.set_ylabel(PIXEL_SIZE)
     axes.grid(alpha=0.25)
-    figure.suptitle(grid.title({}, len(lines), total, grid.scales), fontsize=SMALL_PT)
+    figure.suptitle(title, fontsize=SMALL_PT)
     if len(lines) > 1:
         style: dict[str, Any] = {"frameon": False, "fontsize": SMALL_PT, "handlelength": LEGEND_LINE}
         figure.legend(loc="outside lower center", ncols=2, **style)
@@ -407,26 +344,28 @@ def optimum_along(grid: Grid, scale: Scale) -> Drawing:
     return figure, grid.columns(curves) | optimum_columns(curves)
 
 
-def draw_optima(axes: Axes, scale: Scale, line: Line, look: Look, place: Transform) -> None:
+def draw_optima(axes: Axes, scale: Scale, line: Panel, look: Look, place: Transform) -> None:
     """Draw the optima of a line with their intervals, hollow if they are not known; arrows at open ends."""
-    from matplotlib.transforms import ScaledTranslation
-
+    x = line.places(scale)
+    optima = [curve.optimum for curve in line.curves]
+    optima_um = np.array([best.pitch_um for best in optima])
     ends_um = np.array([closed_range(curve.optimum.interval_um, curve) for curve in line.curves])
-    joined = look.stroke if scale.numeric else {"color": look.colour, "ls": "none"}
-    style: dict[str, Any] = joined | {"marker": look.marker, "ms": 6, "lw": 1.2}
-    axes.plot(scale.places, line.optima_um, label=literal(short(line.label)), transform=place, **style)
-    bars_um = np.abs(ends_um.T - line.optima_um)
-    axes.errorbar(scale.places, line.optima_um, bars_um, fmt="none", ecolor=look.colour, capsize=2.5, transform=place)
-    for x, curve, ends in zip(scale.places, line.curves, ends_um, strict=True):
-        if not curve.optimum.inside:
-            hollow: dict[str, Any] = {"ms": 6, "mec": look.colour, "mfc": "white", "zorder": 5}
-            axes.plot(x, curve.optimum.pitch_um, look.marker, transform=place, **hollow)
-        for end, arrow, way in (0, "v", -1), (1, "^", 1):
-            if curve.optimum.interval_um[end] is None:
-                beyond = place + ScaledTranslation(0, way * ARROW_PT / PT_PER_IN, axes.figure.dpi_scale_trans)
-                axes.plot(x, ends[end], arrow, ms=5, color=look.colour, transform=beyond, clip_on=False)
-    axes.update_datalim([(x, end_um) for x, ends in zip(scale.places, ends_um, strict=True) for end_um in ends])
-    axes.autoscale_view(scalex=False)
+    style = look.line if scale.numeric else look.line | {"ls": "none"}
+    bars_um = np.abs(ends_um.T - optima_um)
+    axes.plot(x, optima_um, ms=6, lw=1.2, label=short(line.label), transform=place, **style)
+    axes.errorbar(x, optima_um, bars_um, fmt="none", ecolor=look.colour, capsize=2.5, transform=place)
+    marked = (
+        ([not best.inside for best in optima], optima_um, look.marker, "white"),
+        ([best.interval_um[0] is None for best in optima], ends_um[:, 0], "v", look.colour),
+        ([best.interval_um[1] is None for best in optima], ends_um[:, 1], "^", look.colour),
+    )
+    for is_marked, sizes_um, marker, face in marked:
+        if any(is_marked):
+            axes.plot(
+                x[is_marked], sizes_um[is_marked], marker, ms=6, mec=look.colour, mfc=face, transform=place, clip_on=False, zorder=5
+            )
+    # Matplotlib sees no limits in data that it draws beside their place.
+    axes.update_datalim(np.column_stack([np.repeat(x, 2), ends_um.ravel()]))
 
 
 @figure(
@@ -436,47 +375,35 @@ def draw_optima(axes: Axes, scale: Scale, line: Line, look: Look, place: Transfo
     "apart.",
 )
 def map_along(grid: Grid, scale: Scale) -> Drawing:
-    """Draw the fitted metric over pixel size and axis, with the optimum, a panel for each technology and condition."""
-    held = grid.middle([scale])
-    lines, total = grid.lines(scale, [], held, MAX_PANELS)
-    curves = [curve for line in lines for curve in line.curves]
-    low_um = min(curve.fit.pitch_um[0] for curve in curves)
-    high_um = max(curve.fit.pitch_um[-1] for curve in curves)
-    sizes = Scale("pixel size", tuple(np.geomspace(low_um, high_um, MAP_SIZES).tolist()), "µm", log=True)
-    maps = [np.transpose([fitted_at(curve, sizes.places) for curve in line.curves]) for line in lines]
+    """Draw the fitted metric over pixel size and an axis, with the optimum, in panels."""
+    panels, title = grid.panels(scale)
+    curves = [curve for panel in panels for curve in panel.curves]
     metric = curves[0].metric
-    label = literal(f"{metric.words} ({metric.unit})" if metric.unit else metric.words)
-
-    figure, panels = panel_grid(len(lines))
-    contours = maps if scale.numeric and len(scale.values) > 1 else None
-    draw_maps(figure, panels, scale, sizes, maps, contours, label=label)
-    for line, axes in zip(lines, panels, strict=True):
-        axes.set_title(literal(short(line.label)), fontsize=SMALL_PT + 1)
+    low_um, high_um = min(curve.fit.pitch_um[0] for curve in curves), max(curve.fit.pitch_um[-1] for curve in curves)
+    sizes_um = np.geomspace(low_um, high_um, MAP_SIZES)
+    sizes = Scale("pixel size", tuple(sizes_um.tolist()), "µm")
+    unknown = np.full(MAP_SIZES, np.nan)
+    maps = [np.transpose([unknown if curve is None else fitted_at(curve, sizes_um) for curve in panel.rows[0]]) for panel in panels]
+    figure, axes_of_panels = draw_maps(panels, scale, sizes, maps, maps if scale.numeric else None, literal(metric.label))
+    figure.suptitle(title, fontsize=SMALL_PT)
+    for panel, axes in zip(panels, axes_of_panels, strict=True):
         axes.set_ylim(low_um, high_um)
-        plain_powers(axes.yaxis)
-        axes.plot(scale.places, line.optima_um, color="white", lw=1.4 if scale.numeric else 0.0)
-        for x, size_um, inside in zip(scale.places, line.optima_um, line.inside, strict=True):
-            face, edge = ("black", "white") if inside else ("white", "black")
-            axes.plot(x, size_um, "o", ms=4.5, mfc=face, mec=edge, clip_on=False, zorder=5)
-    figure.suptitle(grid.title(held, len(lines), total, [scale]), fontsize=SMALL_PT)
-    return figure, map_table(grid, lines, sizes.places)
+        x, optima = panel.places(scale), [curve.optimum for curve in panel.curves]
+        optima_um, inside = np.array([best.pitch_um for best in optima]), np.array([best.inside for best in optima])
+        axes.plot(x, optima_um, color="white", lw=1.4 if scale.numeric else 0.0)
+        for is_marked, face, edge in ((inside, "black", "white"), (~inside, "white", "black")):
+            axes.plot(x[is_marked], optima_um[is_marked], "o", ms=4.5, mfc=face, mec=edge, clip_on=False, zorder=5)
 
-
-def map_table(grid: Grid, lines: Sequence[Line], pitch_um: Array) -> dict[str, Column]:
-    """Return a row for each curve and pixel size, with the optimum, its 1 % valley and the lens's limit."""
-    curves = [curve for line in lines for curve in line.curves for _ in pitch_um]
-    cutoffs_um = [cutoff_pitch_um(camera) for line in lines for camera in line.cameras for _ in pitch_um]
-    sizes_um = [size_um for line in lines for _ in line.curves for size_um in pitch_um.tolist()]
-    values = [value for line in lines for curve in line.curves for value in fitted_at(curve, pitch_um).tolist()]
-    return {
-        **grid.columns(curves),
-        "pitch_um": sizes_um,
-        curves[0].metric.columns[0]: values,
-        "optimum_um": [curve.optimum.pitch_um for curve in curves],
-        "inside": [str(curve.optimum.inside) for curve in curves],
-        **range_columns("within_1_percent", curves),
-        "cutoff_pitch_um": cutoffs_um,
-        **fresnel_column(curves, sizes_um),
+    of_rows = [curve for curve in curves for _ in sizes_um]
+    pitch_um = sizes_um.tolist() * len(curves)
+    return figure, grid.columns(of_rows) | {
+        "pitch_um": pitch_um,
+        metric.columns[0]: np.concatenate([fitted_at(curve, sizes_um) for curve in curves]).tolist(),
+        "optimum_um": [curve.optimum.pitch_um for curve in of_rows],
+        "inside": [str(curve.optimum.inside) for curve in of_rows],
+        **range_columns("within_1_percent", of_rows),
+        "cutoff_pitch_um": np.repeat([cutoff_pitch_um(grid.result.part_of(curve).camera) for curve in curves], MAP_SIZES).tolist(),
+        **fresnel_column(of_rows, pitch_um),
     }
 
 
@@ -487,54 +414,39 @@ def map_table(grid: Grid, lines: Sequence[Line], pitch_um: Array) -> dict[str, C
     "tell sizes apart.",
 )
 def map_of_two(grid: Grid, across: Scale, up: Scale) -> Drawing:
-    """Draw the optimum over two axes, with contours of the best value, a panel for each technology and condition."""
+    """Draw the optimum over two axes, with contours of the best value, in panels."""
     from matplotlib.patches import Rectangle
 
-    held = grid.middle([across, up])
-    rows = [grid.lines(across, [], {**held, up.name: value}, MAX_PANELS) for value in up.values]
-    panels_of_curves = [[line.curves for line in stacked] for stacked in zip(*(lines for lines, _ in rows), strict=True)]
-    labels = [line.label for line in rows[0][0]]
-    maps = [np.array([[curve.optimum.pitch_um for curve in row] for row in block]) for block in panels_of_curves]
-    values = [np.array([[curve.optimum.value for curve in row] for row in block]) for block in panels_of_curves]
-
-    figure, panels = panel_grid(len(labels))
-    numbered = max(len(across.values), len(up.values)) <= NUMBERED_CELLS
-    contours = values if across.numeric and up.numeric and not numbered else None
-    draw_maps(figure, panels, across.categories, up.categories, maps, contours, label=PIXEL_SIZE)
-    for axes, label, block in zip(panels, labels, panels_of_curves, strict=True):
-        axes.set_title(literal(short(label)), fontsize=SMALL_PT + 1)
-        for (y, x), curve in np.ndenumerate(np.array(block, object)):
-            if not curve.optimum.inside:
+    panels, title = grid.panels(across, up)
+    sizes_um = [_numbers(panel, "pitch_um") for panel in panels]
+    is_numbered = max(len(across.values), len(up.values)) <= NUMBERED_CELLS
+    has_contours = across.numeric and up.numeric and not is_numbered
+    values = [_numbers(panel, "value") for panel in panels] if has_contours else None
+    figure, axes_of_panels = draw_maps(panels, across.categories, up.categories, sizes_um, values, PIXEL_SIZE)
+    figure.suptitle(title, fontsize=SMALL_PT)
+    for panel, axes in zip(panels, axes_of_panels, strict=True):
+        cells = ((x, y, curve.optimum) for y, row in enumerate(panel.rows) for x, curve in enumerate(row) if curve is not None)
+        for x, y, best in cells:
+            if not best.inside:
                 axes.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, fill=False, hatch="////", ec="white", lw=0))
-            if numbered:
-                text = f"{curve.optimum.pitch_um:.2f}\n{curve.optimum.value:.3g}"
+            if is_numbered:
+                text = f"{best.pitch_um:.2f}\n{best.value:.3g}"
                 axes.text(x, y, text, ha="center", va="center", fontsize=CELL_PT, bbox=ON_CELL)
-    figure.suptitle(grid.title(held, len(labels), rows[0][1], [across, up]), fontsize=SMALL_PT)
-    curves = [curve for block in panels_of_curves for row in block for curve in row]
+    curves = [curve for panel in panels for curve in panel.curves]
     return figure, grid.columns(curves) | optimum_columns(curves)
 
 
-def panel_grid(number: int) -> tuple[Figure, list[Axes]]:
-    """Return a figure with that many panels in up to two columns; a single one is taller."""
-    columns = min(number, 2)
-    rows = -(-number // columns)
-    figure = new_figure(WIDTH_IN, 0.8 + (2.5 * rows if number > 1 else 3.2))
-    axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel().tolist()
-    for unused in axes[number:]:
-        figure.delaxes(unused)
-    return figure, axes[:number]
+def _numbers(panel: Panel, quantity: str) -> Array:
+    """Return a number of each optimum of a panel, (up, across); NaN for cases that are left out."""
+    return np.array([[np.nan if curve is None else getattr(curve.optimum, quantity) for curve in row] for row in panel.rows])
 
 
 def draw_maps(
-    figure: Figure,
-    panels: Sequence[Axes],
-    across: Scale,
-    up: Scale,
-    maps: Sequence[Array],
-    contours: Sequence[Array] | None,
-    label: str,
-) -> None:
+    panels: Sequence[Panel], across: Scale, up: Scale, maps: Sequence[Array], contours: Sequence[Array] | None, label: str
+) -> tuple[Figure, list[Axes]]:
     """Draw maps over two axes on one scale of colours, which is logarithmic if the values span a factor of 10.
+
+    There are up to two columns of panels; a single one is taller.
 
     maps : (up, across) of each panel; NaN where nothing is known
     contours : (up, across) of each panel, numbers whose contours are drawn; None for none
@@ -542,24 +454,35 @@ def draw_maps(
     """
     from matplotlib.colors import LogNorm, Normalize
 
+    columns = min(len(panels), 2)
+    rows = -(-len(panels) // columns)
+    figure = new_figure(WIDTH_IN, 0.8 + (2.5 * rows if len(panels) > 1 else 3.2))
+    axes_of_panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel().tolist()
+    for unused in axes_of_panels[len(panels) :]:
+        figure.delaxes(unused)
+    axes_of_panels = axes_of_panels[: len(panels)]
+
     low, high = float(np.nanmin(maps)), float(np.nanmax(maps))
-    if high - low < LEAST_SPAN * abs(high):  # else rounding errors would have all colours
+    if high - low < LEAST_SPAN * abs(high):
         low, high = low - LEAST_SPAN * abs(high), high + LEAST_SPAN * abs(high)
     is_wide = 0 < LOG_SPAN * low <= high
     norm = LogNorm(low, high) if is_wide else Normalize(low, high)
-
-    for axes, values in zip(panels, maps, strict=True):
-        across.draw_on(axes.xaxis, 60 // min(len(panels), 2))
+    for panel, axes, values in zip(panels, axes_of_panels, maps, strict=True):
+        axes.set_title(short(panel.label), fontsize=SMALL_PT + 1)
+        across.draw_on(axes.xaxis, 60 // columns)
         up.draw_on(axes.yaxis, 36)
         cells = axes.pcolormesh(across.edges, up.edges, values, norm=norm, rasterized=True)
         axes.label_outer()
-    bar = figure.colorbar(cells, ax=panels, label=label)
+    bar = figure.colorbar(cells, ax=axes_of_panels, label=label)
     if is_wide:
         plain_powers(bar.ax.yaxis)
-    if contours is not None and (least := float(np.nanmin(contours))) < (most := float(np.nanmax(contours))):
+
+    least, most = (float(np.nanmin(contours)), float(np.nanmax(contours))) if contours else (0.0, 0.0)
+    if contours and least < most and min(contours[0].shape) > 1:
         levels = np.geomspace(least, most, CONTOURS + 2) if least > 0 else np.linspace(least, most, CONTOURS + 2)
-        for axes, heights in zip(panels, contours, strict=True):
+        for axes, heights in zip(axes_of_panels, contours, strict=True):
             axes.contour(across.places, up.places, heights, levels[1:-1], colors="white", linewidths=0.6, alpha=0.7)
+    return figure, axes_of_panels
 
 
 # --- axes moved alone ------------------------------------------------------------------------------------------------------
@@ -575,8 +498,7 @@ class Group:
 
     def width_um(self, axis: str) -> float:
         """Return how far an axis moves the optimum."""
-        sizes_um = [curve.optimum.pitch_um for curve in (self.base, *self.moved[axis])]
-        return max(sizes_um) - min(sizes_um)
+        return float(np.ptp([curve.optimum.pitch_um for curve in (self.base, *self.moved[axis])]))
 
 
 def alone_plate(result: CasesResult) -> Plate | None:
@@ -596,6 +518,7 @@ def tornado(result: CasesResult, groups: Sequence[Group]) -> Drawing:
     scales = [Scale.of(axis) for axis in result.study.axis if axis.alone]
     scales.sort(key=lambda scale: max(group.width_um(scale.name) for group in groups), reverse=True)
     names = [scale.name for scale in scales]
+    labels = [short(scale.name, SHORT_TICK) + (f"\n({scale.unit})" if scale.unit else "") for scale in scales]
     figure = new_figure(WIDTH_IN, (0.46 * len(names) + 1.1) * len(groups))
     panels = figure.subplots(len(groups), 2, squeeze=False, sharey=True)
     for row, group in zip(panels, groups, strict=True):
@@ -607,12 +530,10 @@ def tornado(result: CasesResult, groups: Sequence[Group]) -> Drawing:
             axes.axvspan(low, high, color="0.5", alpha=0.15, lw=0)
             axes.axvline(getattr(best, quantity), color="0.2", lw=1)
             axes.grid(axis="x", alpha=0.25)
-            widen(axes, getattr(best, quantity))
-            axes.set_title(literal(short(group.label)), fontsize=SMALL_PT + 1)
-        units = [f"\n({scale.unit})" if scale.unit else "" for scale in scales]
-        row[0].set_yticks(
-            range(len(names)), [literal(short(name, SHORT_TICK)) + unit for name, unit in zip(names, units, strict=True)]
-        )
+            axes.use_sticky_edges = False
+            axes.margins(x=0.15)  # for labels beside the bars
+            axes.set_title(short(group.label), fontsize=SMALL_PT + 1)
+        row[0].set_yticks(range(len(names)), labels)
         row[0].set_ylim(len(names) - 0.4, -0.6)
     for axes, label in zip(panels[-1], (PIXEL_SIZE, literal(groups[0].base.metric.best)), strict=True):
         axes.set_xlabel(label)
@@ -624,32 +545,22 @@ def tornado(result: CasesResult, groups: Sequence[Group]) -> Drawing:
     return figure, table | optimum_columns(curves)
 
 
-def widen(axes: Axes, base: float) -> None:
-    """Leave room for labels beside the bars, and let the axis span a few per cent: rounding errors would look like moves."""
-    axes.use_sticky_edges = False
-    axes.margins(x=0.15)
-    low, high = axes.get_xlim()
-    missing = max(0.0, LEAST_SPAN * abs(base) - (high - low)) / 2
-    axes.set_xlim(low - missing, high + missing)
-
-
 def draw_moves(axes: Axes, row: int, group: Group, name: str, quantity: str) -> None:
     """Draw a bar from the lowest to the highest value of an axis, including the base, with labels at its ends.
 
     quantity : of the optimum, which is drawn: "pitch_um" or "value"
     """
-    points = sorted(((getattr(curve.optimum, quantity), curve) for curve in group.moved[name]), key=lambda point: point[0])
-    values = [getattr(group.base.optimum, quantity), *(value for value, _ in points)]
+    curves = sorted(group.moved[name], key=lambda curve: getattr(curve.optimum, quantity))
+    values = [getattr(curve.optimum, quantity) for curve in (group.base, *curves)]
     axes.barh(row, max(values) - min(values), left=min(values), height=0.5, color=COLOURS[0], alpha=0.25)
-    for value, curve in points:
+    for curve, value in zip(curves, values[1:], strict=True):
         is_hollow = quantity == "pitch_um" and not curve.optimum.inside
         axes.plot(value, row, "o", ms=4.5, color=COLOURS[0], mfc="white" if is_hollow else COLOURS[0])
-    ends = points if len(points) < 3 else [points[0], points[-1]]
-    for place, (value, curve) in enumerate(ends):
+    for curve, offset_pt in zip(evenly(curves, 2), (-13, 7), strict=False):
         at = curve.at[name]
-        text = literal(short(at, SHORT_TICK)) if isinstance(at, str) else f"{at:.4g}"
-        offset = (0, 7) if place else (0, -13)
-        axes.annotate(text, (value, row), offset, textcoords="offset points", fontsize=CELL_PT, ha="center")
+        text = short(at, SHORT_TICK) if isinstance(at, str) else f"{at:.4g}"
+        value = getattr(curve.optimum, quantity)
+        axes.annotate(text, (value, row), (0, offset_pt), textcoords="offset points", fontsize=CELL_PT, ha="center")
 
 
 def bases_of(result: CasesResult) -> dict[str, StudyResult]:
@@ -660,26 +571,20 @@ def bases_of(result: CasesResult) -> dict[str, StudyResult]:
 def alone_groups(result: CasesResult, names: Sequence[str]) -> list[Group]:
     """Return the curves about the base, a group for each technology and condition, evenly chosen where there are many."""
     bases = bases_of(result)
-    moved: dict[tuple[str, str], list[StudyResult]] = {}
-    for part in result.parts:
-        moved.setdefault((part.curves[0].condition, part.curves[0].alone), []).append(part)
     technologies = [curve.technology for curve in next(iter(bases.values())).curves]
     labels = labels_of(technologies)
-    counts = fewer([len(labels), len(bases)], max(1, min(MAX_ROWS, MAX_BARS // len(names))))
-    places = evenly(range(len(labels)), counts[0])
-    if result.study.paper and REFERENCE_TECHNOLOGY in technologies and len(places) == 1:
-        places = [technologies.index(REFERENCE_TECHNOLOGY)]
     of_process = {axis.name for axis in result.study.axis if all(set(point.table) == {"process"} for point in axis.points)}
     groups = []
-    for place, condition in product(places, evenly(list(bases), counts[1])):
+    most = max(1, min(MAX_ROWS, MAX_BARS // len(names)))
+    for place, condition in evenly(list(product(range(len(labels)), bases)), most):
         words = [labels[place]] if len(labels) > 1 else []
         words += [condition] if len(bases) > 1 else []
-        curves = {}
+        moved = {}
         for name in names:
-            parts = moved.get((condition, name), [])  # all of them may be left out
+            parts = [part for part in result.parts if (part.curves[0].condition, part.curves[0].alone) == (condition, name)]
             parts = touching(parts, bases[condition], technologies[place]) if name in of_process else parts
-            curves[name] = [part.curves[min(place, len(part.curves) - 1)] for part in parts]  # one of an axis over technologies
-        groups.append(Group(", ".join(words), bases[condition].curves[place], curves))
+            moved[name] = [part.curves[min(place, len(part.curves) - 1)] for part in parts]  # one of an axis over technologies
+        groups.append(Group(", ".join(words), bases[condition].curves[place], moved))
     return groups
 
 

@@ -1,30 +1,84 @@
-"""What is said of a comparison of sensors: verdicts, means, what turns them, and what the sensors have in common."""
+"""What is said of pairs of sensors or results, and of what the sensors of a comparison have in common."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
-from pixsim.base.digits import exposure_time, f_stop, probability, with_error
+from pixsim.base.digits import difference_cells, f_stop, probability, rounded, with_error
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.notes import Note
-from pixsim.report.score import unmet
+from pixsim.report.score import judged_by_delta_e, unmet
 from pixsim.sensor.labels import label_of
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.sensor.stages import stage_words
-from pixsim.studies.comparison import ComparedSensor, Comparison, DisplayDifference
+from pixsim.show.figures import literal
+from pixsim.studies.comparison import ComparedSensor, Comparison
 from pixsim.studies.design import BASE, Case
-from pixsim.studies.merit import stated_end_lp_per_mm
 from pixsim.studies.optimum import NO_VISIBLE_DELTA_E
-from pixsim.studies.paired import Pairs, mean_interval
+from pixsim.studies.paired import FEWEST_PAIRS, Pairs, mean_interval
 from pixsim.studies.sensors import ComparisonJob, SensorGroup, pixels_of
 from pixsim.viewer.dark_clip import clip_note, clips_dark
+from pixsim.viewer.develop_options import developed_words
 from pixsim.viewer.metric_registry import metrics_named
 from pixsim.viewer.metrics import DELTA_E, Metric
 from pixsim.viewer.score import exceeded, noise_error_and_limit
 from pixsim.viewer.setting import Run
 
-# --- verdicts ---------------------------------------------------------------------------------------------------------------------
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# --- a pair -----------------------------------------------------------------------------------------------------------------------
+
+
+def pair_sentence(pairs: Pairs, film: float | None = 0.0) -> str:
+    """Return which of a pair is better by a metric, by how much, and how sure that is.
+
+    film : largest error of the difference that the film may cause, which is part of what follows ±; None if it is unknown
+    """
+    (first, other), metric, size = pairs.names, pairs.metric, abs(pairs.difference)
+    unit = " ΔE" if metric.is_delta_e else f"{metric.unit and f' {metric.unit}'} in {metric.words}"
+    if not pairs.differences.any():
+        return f"{first} and {other} have the same {'mean ΔE' if metric.is_delta_e else metric.words} in every pair of frames"
+    better, worse = (first, other) if metric.worse_by(pairs.difference, 0.0) >= 0 else (other, first)
+    if pairs.a.size < FEWEST_PAIRS:
+        return f"{better} is better than {worse} by {rounded(size, 4)}{unit} in one pair of frames"
+
+    error = pairs.half_width + (film or 0.0)
+    shown = f"{with_error(size, error)}{unit}{' and the unknown error of the film' if film is None else ''}"
+    chance = probability(max(pairs.probability_a_better, 1 - pairs.probability_a_better), pairs.a.size)
+    if size <= error:
+        return f"{first} and {other} cannot be told apart: {better} is better by {shown} (probability {chance})"
+    is_hidden = metric.is_delta_e and size < NO_VISIBLE_DELTA_E
+    visible = f", no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE)" if is_hidden else ""
+    return f"{better} is better than {worse} by {shown} (probability {chance}){visible}"
+
+
+def pair_cells(pairs: Pairs) -> tuple[str, str, str]:
+    """Return the cells of a table with a pair's difference, its 95 % interval, and the probability that the first one is better.
+
+    One pair of frames has a difference only.
+    """
+    if pairs.a.size < FEWEST_PAIRS:
+        return f"{'+' * (pairs.difference > 0)}{rounded(pairs.difference, 4)}", "", ""
+    return *difference_cells(pairs.difference, pairs.interval), probability(pairs.probability_a_better, pairs.a.size)
+
+
+def draw_differences(axes: Axes, pairs: Sequence[Pairs], labels: Sequence[str]) -> None:
+    """Draw differences of pairs with their 95 % intervals, one below the other."""
+    halves = [pair.half_width if pair.a.size >= FEWEST_PAIRS else 0.0 for pair in pairs]
+    axes.errorbar([pair.difference for pair in pairs], range(len(pairs)), xerr=halves, fmt="D", capsize=4)
+    axes.axvline(0.0, color="0.5", lw=0.8)
+    label_rows(axes, labels)
+
+
+def label_rows(axes: Axes, labels: Sequence[str]) -> None:
+    """Name the rows of a figure, the first one on top."""
+    axes.set_yticks(range(len(labels)), [literal(label) for label in labels])
+    axes.set_ylim(len(labels) - 0.5, -0.5)
+
+
+# --- a comparison of sensors ------------------------------------------------------------------------------------------------------
 
 
 def asked_metrics(job: ComparisonJob) -> tuple[Metric, ...]:
@@ -32,210 +86,94 @@ def asked_metrics(job: ComparisonJob) -> tuple[Metric, ...]:
     return tuple(metrics_named(job.base[0].metrics))
 
 
-def judged_by_delta_e(job: ComparisonJob) -> bool:
-    """Return whether ΔE was asked for."""
-    return DELTA_E in asked_metrics(job)
-
-
-def verdict(result: Comparison, other: str) -> str:
-    """Return the answer for the first sensor and another by mean ΔE: which is better, by how much, how sure, what turns it.
-
-    Neither is called better if half of the difference's 95 % interval and the film's error exceed it together.
+def verdict_parts(result: Comparison, other: str, metric: Metric = DELTA_E) -> list[str]:
+    """Return which of the first sensor and another one is better by a metric, and what turns that.
 
     other : name of the other one
     """
-    stated, *_ = result.display_differences(other)
-    words = verdict_words(stated, result.pairs(other))
-    return "; ".join([f"{words}{_conditions(result)}", *depends(result, other)])
-
-
-def metric_verdict(result: Comparison, other: str, metric: Metric) -> str:
-    """Return the answer for the first sensor and another by a metric beside ΔE.
-
-    other : name of the other one
-    """
-    pairs = result.pairs(other, metric)
-    first, difference = result.names[0], pairs.difference
-    if not pairs.differences.any():
-        return f"{first} and {other} have the same {metric.words} in every pair of frames"
-    worse_by = float(metric.worse_by(difference, 0.0))
-    better, worse = (first, other) if worse_by >= 0 else (other, first)
-    chance = pairs.probability_a_better
-    size = f"{with_error(abs(difference), pairs.half_width)} {metric.unit}".rstrip()
-    how = f"{size} in {metric.words} (probability {probability(max(chance, 1 - chance), pairs.a.size)})"
-    if abs(difference) <= pairs.half_width:
-        return f"{first} and {other} cannot be told apart: {better} is better by {how}{_conditions(result)}"
-    return f"{better} is better than {worse} by {how}{_conditions(result)}"
-
-
-def _conditions(result: Comparison) -> str:
+    film = result.film_of_pair(other) if metric.is_delta_e else 0.0
     mean = " in the weighted mean" if result.groups()[0].first.condition else ""
-    return f"{mean} with match {result.job.match}"
-
-
-def sign_by(result: Comparison, other: str, metric: Metric) -> int:
-    """Return 1 if the first sensor is surely better than another one by a metric, -1 if that one is, else 0.
-
-    By ΔE neither is where the display, the match or the condition turns the answer.
-
-    other : name of the other sensor
-    """
-    if metric.is_delta_e:
-        return 0 if depends(result, other) else result.sign(other)
-    pairs = result.pairs(other, metric)
-    if abs(pairs.difference) <= pairs.half_width:
-        return 0
-    return 1 if metric.worse_by(pairs.difference, 0.0) > 0 else -1
+    sentence = f"{pair_sentence(result.pairs(other, metric), film)}{mean} with match {result.job.match}"
+    return [sentence, *(depends(result, other) if metric.is_delta_e else [])]
 
 
 def depends(result: Comparison, other: str) -> list[str]:
-    """Return what turns the answer for the first sensor and another: the display, the match, or the condition, in words.
+    """Return what turns the answer by mean ΔE for the first sensor and another: the display, the match, or the condition.
 
     other : name of the other sensor
     """
-    stated, *on_others = result.display_differences(other)
-    first = result.names[0]
-
-    def better(sign: int) -> str:
-        return f"{first if sign > 0 else other} is better"
-
-    words: list[str] = []
-    signs = {difference.sign for difference in (stated, *on_others)}
-    if {1, -1} <= signs:
-        places = [f"{better(display.sign)} on {display.dots} dots" for display in (stated, *on_others) if display.sign]
-        words.append(f"depends on the display: {', '.join(places)}")
-    for match in result.job.matches[1:]:
-        sign = result.sign(other, match=match)
-        if sign and sign == -stated.sign:
-            words.append(f"depends on the match: {better(sign)} with match {match}")
-    conditions = {group.first.condition: group.weight for group in result.groups() if group.first.condition and group.weight}
-    of_conditions = {name: result.sign(other, condition=name) for name in conditions}
-    if {1, -1} <= set(of_conditions.values()):
-        places = [f"{better(sign)} in {name} (weight {conditions[name]:.3g})" for name, sign in of_conditions.items() if sign]
-        words.append(f"depends on the condition: {', '.join(places)}")
+    weights = {group.first.condition: group.weight for group in result.groups() if group.first.condition and group.weight}
+    signs: dict[str, Mapping[str, int]] = {
+        "display": {f"on {display.dots} dots": display.sign for display in result.display_differences(other)},
+        "match": {f"with {match}": result.sign(other, match=match) for match in result.job.matches},
+        "condition": {f"in {name} (weight {share:.3g})": result.sign(other, condition=name) for name, share in weights.items()},
+    }
+    names = {1: result.names[0], -1: other}
+    words = []
+    for what, places in signs.items():
+        if {1, -1} <= set(places.values()):
+            first, *others = [(names[sign], where) for where, sign in places.items() if sign]
+            texts = [" is better ".join(first), *(" ".join(other_place) for other_place in others)]
+            words.append(f"depends on the {what}: {', '.join(texts)}")
     return words
 
 
 def over_cases(result: Comparison, other: str) -> str:
-    """Return at which values of axes the first sensor is better, and at which another one, and under which match.
+    """Return at which values of axes the first sensor is better by the first metric, and at which another one.
+
+    Neither is where the display, the match or the condition turns the answer.
 
     other : name of the other one
     """
-    first, count = result.names[0], len(result.cases)
-    metric = asked_metrics(result.job)[0]
-    signs = [(case.case.words or BASE, sign_by(case, other, metric)) for case in result.cases]
-    different = {sign for _, sign in signs}
-    matched = f" with match {result.job.match}" if metric.is_delta_e else f" in {metric.words}, with match {result.job.match}"
-    if different == {0}:
-        return f"neither {first} nor {other} is surely better in any of {count} cases{matched}"
-    if len(different) == 1:
-        better, worse = (first, other) if different == {1} else (other, first)
-        return f"{better} is better than {worse} in all {count} cases{matched}"
-    parts: list[str] = []
-    for sign, name in {1: first, -1: other, 0: "neither"}.items():
-        if where := [words for words, sign_here in signs if sign_here == sign]:
-            parts.append(f"{name}{' is better' if not parts and sign else ''} at {'; '.join(where)}")
-    return ", ".join(parts) + matched
+    first, metric = result.names[0], asked_metrics(result.job)[0]
+    places: dict[int, list[str]] = {1: [], -1: [], 0: []}
+    for case in result.cases:
+        is_turned = metric.is_delta_e and depends(case, other)
+        places[0 if is_turned else case.sign(other, metric)].append(case.case.words or BASE)
+    words = {1: f"{first} is better than {other}", -1: f"{other} is better than {first}", 0: "neither is surely better"}
+    parts = []
+    for sign, values in places.items():
+        where = f"in all {len(values)} cases" if len(values) == len(result.cases) else f"at {'; '.join(values)}"
+        parts += [f"{words[sign]} {where}"] if values else []
+    judged = "" if metric.is_delta_e else f" in {metric.words}"
+    return f"{', '.join(parts)}{judged} with match {result.job.match}"
 
 
-def verdict_words(stated: DisplayDifference, pairs: Pairs) -> str:
-    """Return which of two sensors is better, by how much, and how sure that is.
-
-    stated : their difference with the film's error
-    """
-    (first, other), difference = pairs.names, stated.difference
-    if not pairs.differences.any():
-        return f"{first} and {other} have the same mean ΔE in every pair of frames"
-    better, worse = (first, other) if difference >= 0 else (other, first)
-    chance = pairs.probability_a_better
-    of_better = probability(chance if difference >= 0 else 1 - chance, pairs.a.size)
-    if stated.is_hidden_by_film:
-        size = shown_delta_e(abs(difference), stated.half_delta_e, 0.0)
-        film = f"the film's error of {stated.film_delta_e:.1g} ΔE"
-        return f"{film} hides which of {first} and {other} is better: {better} by {size}"
-    size = shown_delta_e(abs(difference), stated.half_delta_e, stated.film_delta_e)
-    if not stated.sign:
-        return f"{first} and {other} cannot be told apart: {better} is better by {size} (probability {of_better})"
-    visible = "" if abs(difference) >= NO_VISIBLE_DELTA_E else f", no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE)"
-    return f"{better} is better than {worse} by {size} (probability {of_better}){visible}"
-
-
-def shown_delta_e(value: float, half: float, film: float | None) -> str:
-    """Return a ΔE and its uncertainty as text: half of the 95 % interval and the film's error, to two digits, one above 0.01.
-
-    film : the film's error; None is stated as unknown
-
-    >>> shown_delta_e(0.12345, 0.0021, 0.0), shown_delta_e(0.12345, 0.001, 0.02)
-    ('0.1235 ± 0.0021 ΔE', '0.12 ± 0.02 ΔE')
-    """
-    unknown = " and the film's error, which is unknown" if film is None else ""
-    return f"{with_error(value, half + (film or 0.0))} ΔE{unknown}"
-
-
-def shown_mean(result: Comparison, name: str, condition: str | None = None) -> str:
-    """Return a mean ΔE as text, with its uncertainty: half of the 95 % interval, and the film's error.
-
-    name : of a sensor
-    condition : its name; None means the weighted mean over all
-    """
-    low, mean, high = mean_interval(result.frames(name, condition=condition))
-    film: float | None = result.film_of_sensors[name]
-    if condition is not None:
-        (group,) = (group for group in result.groups() if group.first.condition == condition)
-        error_delta_e = result.of_group(group)[name].film_delta_e
-        film = None if math.isnan(error_delta_e) else error_delta_e
-    return shown_delta_e(mean, (high - low) / 2, film)
-
-
-def metric_mean(result: Comparison, name: str, metric: Metric) -> str:
-    """Return the mean of a metric beside ΔE as text, with half of its 95 % interval.
+def mean_words(result: Comparison, name: str, metric: Metric) -> str:
+    """Return the mean of a metric with half of its 95 % interval, to which the film's error adds for ΔE.
 
     name : of a sensor
     """
     low, mean, high = mean_interval(result.frames(name, metric))
-    value = with_error(mean, (high - low) / 2) if high > low else f"{mean:.4g}"
-    return f"{value} {metric.unit}".rstrip()
+    film = result.film_of_sensors[name] if metric.is_delta_e else 0.0
+    return f"{with_error(mean, (high - low) / 2 + (film or 0.0))}{' and unknown' if film is None else ''}"
 
 
-def metric_words(result: Comparison, metric: Metric) -> str:
-    """Return what a further metric says of the sensors: their means with 95 % intervals, and who is better."""
-    means = ", ".join(f"{name} {metric_mean(result, name, metric)}" for name in result.names)
-    better = []
-    for other in result.names[1:]:
-        pairs = pairs_of_all(result, other, metric)
-        chance = pairs.probability_a_better
-        winner, loser = (result.names[0], other) if chance >= 0.5 else (other, result.names[0])
-        better.append(f"{winner} is better than {loser} (probability {probability(max(chance, 1 - chance), pairs.a.size)})")
-    return f"{metric.words}: {means}; {', '.join(better)}"
-
-
-def pairs_of_all(result: Comparison, other: str, metric: Metric) -> Pairs:
-    """Return the pairs of frames of the first sensor and another one among all of the sensors.
-
-    other : name of the other one
-    """
-    first = result.names[0]
-    return Pairs((first, other), result.frames(first, metric), result.frames(other, metric), metric)
-
-
-# --- notes ------------------------------------------------------------------------------------------------------------------------
+def doubts(result: Comparison) -> list[str]:
+    """Return the largest cause of mean ΔE beside the sensors, or error of a render above its limit, in words; none without."""
+    sized: list[tuple[float, str]] = []
+    for group in result.groups():
+        for sensor in result.of_group(group).values():
+            where = ", ".join(filter(None, (sensor.name, group.first.condition)))
+            sized += [(cause.delta_e, f"{where}: {cause.words}") for cause in sensor.causes]
+            errors = noise_error_and_limit(sensor.light.image.header)
+            sized += zip(exceeded(*errors).values(), (f"{NOT_CONVERGED}: {words}" for words in unmet(*errors)), strict=True)
+    return [words for _, words in sorted(sized)[-1:]]
 
 
 def notes(result: Comparison) -> list[Note]:
-    """Return what a reader should know besides the numbers: warnings, and the notes of all sensors, each once."""
-    return list(dict.fromkeys([*result.warned, *_sensors_notes(result)]))
+    """Return what a reader should know besides the numbers, each once: warnings, and the notes of all sensors.
 
-
-def _sensors_notes(result: Comparison) -> Iterator[Note]:
-    """Yield the notes of all sensors; those that not all cases have name theirs."""
-    parts = [
-        (group, [note for sensor in result.of_group(group).values() for note in _sensor_notes(sensor)])
+    Notes that not all cases have name theirs.
+    """
+    of_groups = {
+        group.words: [note for sensor in result.of_group(group).values() for note in _sensor_notes(sensor)]
         for group in result.all_groups
-    ]
-    of_all = [note for note in parts[0][1] if all(note in group_notes for _, group_notes in parts)]
-    yield from of_all
-    for group, group_notes in parts:
-        yield from (note.of([group.words]) for note in group_notes if note not in of_all)
+    }
+    first, *others = of_groups.values()
+    shared = [note for note in first if all(note in of_group for of_group in others)]
+    further = [note.of([words]) for words, of_group in of_groups.items() for note in of_group if note not in shared]
+    return list(dict.fromkeys([*result.warned, *shared, *further]))
 
 
 def _sensor_notes(sensor: ComparedSensor) -> list[Note]:
@@ -245,21 +183,6 @@ def _sensor_notes(sensor: ComparedSensor) -> list[Note]:
     sensor_notes += [clip_note(sensor.dark, pixel.model_dump())] if clips_dark(sensor.dark) else []
     sensor_notes += [Note("assumed", words=pixel.assumption)] if pixel.assumption else []
     return [note.of([sensor.name]) for note in sensor_notes]
-
-
-def unconverged(result: Comparison) -> list[str]:
-    """Return causes beside the sensors, and the render with the most noise above its target, in words, the largest first."""
-    sized: list[tuple[float, str]] = []
-    for group in result.groups():
-        where = f" in {group.first.condition}" if group.first.condition else ""
-        for sensor in result.of_group(group).values():
-            sized += [(cause.delta_e, f"{sensor.name}{where}: {cause.words}") for cause in sensor.causes]
-            errors = noise_error_and_limit(sensor.light.image.header)
-            texts = (f"{NOT_CONVERGED}: {words}" for words in unmet(*errors))
-            sized += zip(exceeded(*errors).values(), texts, strict=True)
-    sized.sort(key=lambda pair: -pair[0])
-    noisiest = next((words for _, words in sized if words.startswith(NOT_CONVERGED)), "")
-    return list(dict.fromkeys(words for _, words in sized if not words.startswith(NOT_CONVERGED) or words == noisiest))
 
 
 # --- what the sensors have in common ----------------------------------------------------------------------------------------------
@@ -278,58 +201,30 @@ def shared_stages(group: SensorGroup) -> list[str]:
     return [words for words in first if all(words in other for other in others)]
 
 
-def exposure_words(group: SensorGroup) -> str:
-    """Return the exposure rule of the sensors, and the stages of the signal that all have, in words."""
-    exposures, stages = [case.settings.exposure for case in group.cases], shared_stages(group)
-    if any(exposure != exposures[0] for exposure in exposures):
-        return ", ".join(["each sensor's own exposure rule", *stages])
-    exposure = exposures[0]
-    if exposure.integration_s is not None:
-        words = f"each exposed for {exposure_time(exposure.times * exposure.integration_s)}"
-    else:
-        longest = exposure_time(exposure.times * exposure.max_integration_s)
-        words = f"each exposed to {100 * exposure.well_target:.3g} % of its own well, at most {longest}"
-    return ", ".join([words, *stages])
-
-
-def common_words(job: ComparisonJob) -> str:
-    """Return what all sensors of a comparison have in common, in one line; what differs between conditions is that of one."""
+def common_words(job: ComparisonJob) -> list[str]:
+    """Return what all sensors of a comparison have in common; what conditions change is that of the shown one."""
     shown = job.shown
+    first, camera, display = shown.first.sensor, shown.first.camera, shown.display
     words = []
     if job.study is not None:
         unused = f" (not used: {', '.join(job.not_used)})" if job.not_used else ""
         words.append(f"the study {job.study.name}{unused}")
     if shown.first.condition:
         weights = ", ".join(f"{group.first.condition} ({group.weight:.3g})" for group in job.of_sensors())
-        first = asked_metrics(job)[0]
-        number = "ΔE" if first.is_delta_e else first.words
-        words.append(f"{number} is the mean over its conditions with the weights {weights}")
-    parts = [_words_of_group(job, group) for group in job.of_sensors()]
-    for place, text in enumerate(_words_of_group(job, shown)):
-        words.append(text if all(part[place] == text for part in parts) else f"{text} in {shown.first.condition}")
-    film = " and the film's error" if judged_by_delta_e(job) else ""
-    return "; ".join([*words, f"± is the 95 % interval{film}"])
-
-
-def _words_of_group(job: ComparisonJob, group: SensorGroup) -> list[str]:
-    """Return what all sensors of a group have in common, in parts."""
-    first, camera, display = group.first.sensor, group.first.camera, group.display
-    field_words = f"the same field of {camera.field_words}"
+        words.append(f"means over its conditions, with the weights {weights}")
     lens = {
-        "view": f"{field_words}, {f_stop(camera.f_number)} and focus at {camera.object_distance_m:g} m, as {first}",
-        "lens": f"one lens, that of {first} ({camera.lens_words}), and {field_words}, which all have",
-        "own": f"each file's own lens, and {field_words}, which all have",
+        "view": f"{f_stop(camera.f_number)} and focus at {camera.object_distance_m:g} m, as {first}",
+        "lens": f"the lens of {first} ({camera.lens_words})",
+        "own": "each file's own lens",
     }[job.match]
-    highest, chart = stated_end_lp_per_mm({"parameters": group.first.scene.parameters}), "one scene"
-    if highest is not None:
-        limit = group.view.get("limited_by")
-        of = f", {limit.replace('the sensor', group.finest)}" if limit else ""
-        chart = f"one chart, to {highest * camera.die_mm:.4g} cycles across{of}"
-    rows, columns = group.scored_dots
-    shown = f"one display of {display.dots} dots across, {display.samples_per_deg:g} per degree; {columns} × {rows} are scored"
-    if (others := group.first.others) and judged_by_delta_e(job):
-        shown += f"; checked on {' and '.join(str(other.dots) for other in others)} dots"
-    if len(job.names) > 2:
-        shown += "; each difference is that of two sensors alone, with their own field, chart and dots"
-    light = "the same light in each condition" if group.first.condition else "the same light"
-    return [lens, chart, shown, light, exposure_words(group), f"{job.repeats} pairs of frames with the same seeds"]
+    where = f"in {shown.first.condition}: " if shown.first.condition else ""
+    words.append(f"{where}the same field of {camera.field_words}; {lens}")
+    rows, columns = shown.scored_dots
+    dots = f"{display.dots} dots across, {display.samples_per_deg:g} per degree"
+    words.append(f"one display of {dots}; {columns} × {rows} are scored")
+    if shown.first.others and judged_by_delta_e(job.base[0]):
+        words.append(f"checked on {' and '.join(str(other.dots) for other in shown.first.others)} dots")
+    words += shared_stages(shown)
+    words += filter(None, [developed_words(shown.first.settings.develop, [case.settings.pixel for case in shown.cases])])
+    film = " and the film's error" if judged_by_delta_e(job.base[0]) else ""
+    return [*words, f"{job.repeats} pairs of frames with the same seeds", f"± is the 95 % interval{film}"]

@@ -40,7 +40,7 @@ from pixsim.studies.evaluate import LitCase, check_ideals, evaluate_points, lit_
 from pixsim.studies.files import tables_of_python
 from pixsim.studies.film_error import kept_steps
 from pixsim.studies.lights import Light, rendered_light
-from pixsim.studies.paired import FEWEST_PAIRS, Pairs
+from pixsim.studies.paired import Pairs
 from pixsim.studies.prepare import Types
 from pixsim.studies.sensors import PAIR, ComparisonJob, Match, SensorGroup, prepare
 from pixsim.studies.settings import Study, check_asked
@@ -164,14 +164,6 @@ class ResultPairs:
     place: Mapping[str, Any]
     pairs: Pairs
 
-    @property
-    def sign(self) -> int:
-        """1 if the first result is surely better, -1 if the other one is, else 0."""
-        pairs = self.pairs
-        if pairs.a.size < FEWEST_PAIRS or abs(pairs.difference) <= pairs.half_width:
-            return 0
-        return int(np.sign(pairs.metric.worse_by(pairs.difference, 0.0)))
-
 
 @dataclass(frozen=True)
 class ResultsComparison(Result):
@@ -189,13 +181,16 @@ class ResultsComparison(Result):
 
     @property
     def names(self) -> tuple[str, str]:
-        """Names of the folders; with the folders above them where these are the same."""
-        if self.a.name != self.b.name:
-            return self.a.name, self.b.name
-        return str(self.a.path), str(self.b.path)
+        """Names of the folders."""
+        return names_of(self.a, self.b)
 
     def __repr__(self) -> str:
         return f"<ResultsComparison {' and '.join(self.names)}: {len(self.differences)} differences>"
+
+
+def names_of(a: ResultFolder, b: ResultFolder) -> tuple[str, str]:
+    """Return the names of two folders; with the folders above them where these are the same."""
+    return (a.name, b.name) if a.name != b.name else (str(a.path), str(b.path))
 
 
 def compare_results(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> ResultsComparison:
@@ -225,7 +220,7 @@ def compare_results(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> Res
         for labels, places in groups.items():
             values_a, values_b = (np.array([folder.rows[place][column] for place in places]) for folder in (first, other))
             if np.isfinite([values_a, values_b]).all():
-                pairs = Pairs((first.name, other.name), values_a, values_b, metric)
+                pairs = Pairs(names_of(first, other), values_a, values_b, metric)
                 differences.append(ResultPairs(dict(labels), pairs))  # type: ignore[arg-type]
     only = len(first.rows) + len(other.rows) - 2 * len(shared)
     return ResultsComparison(first, other, tuple(differences), only)

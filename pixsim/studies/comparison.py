@@ -99,15 +99,9 @@ class DisplayDifference:
         return (high - low) / 2
 
     @property
-    def is_hidden_by_film(self) -> bool:
-        """Whether the frames tell the sensors apart, but the film's error may be as large as what is left of the difference."""
-        beyond_noise = abs(self.difference) - self.half_delta_e
-        return 0 < beyond_noise <= (self.film_delta_e or 0.0)
-
-    @property
     def sign(self) -> int:
         """1 if a is surely better, -1 if b is, 0 if half of the interval and the film's error exceed the difference together."""
-        if abs(self.difference) <= self.half_delta_e or self.is_hidden_by_film:
+        if abs(self.difference) <= self.half_delta_e + (self.film_delta_e or 0.0):
             return 0
         return 1 if self.difference > 0 else -1
 
@@ -352,15 +346,16 @@ class Comparison(Result):
         """The groups of all sensors at all values of axes and under all conditions."""
         return [group for case in self.cases for group in case.groups()]
 
-    def sign(self, other: str, *, match: Match | None = None, condition: str | None = None) -> int:
+    def sign(self, other: str, metric: Metric = DELTA_E, *, match: Match | None = None, condition: str | None = None) -> int:
         """Return 1 if the first sensor is surely better than another one on the stated display, -1 if that one is, else 0.
 
         other : name of the other sensor
+        metric : that tells which is better; by ΔE, the film's error counts
         match : of the cameras; None means the one that was asked for
         condition : its name; None means the weighted mean over all
         """
-        pairs, film = self.pairs(other, match=match, condition=condition), self.film_of_pair(other, match, condition)
-        return DisplayDifference(0, pairs.difference, pairs.interval, film).sign
+        film = self.film_of_pair(other, match, condition) if metric.is_delta_e else 0.0
+        return self.pairs(other, metric, match=match, condition=condition).sign(film or 0.0)
 
     def __repr__(self) -> str:
         means = ", ".join(f"{name} {mean:.4g}" for name, (_, mean, _) in self.scores.items())

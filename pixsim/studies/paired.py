@@ -63,6 +63,12 @@ class Pairs:
         sign = 1.0 if self.metric.better == "less" else -1.0
         return probability_above_zero(sign * self.differences)
 
+    def sign(self, error: float = 0.0) -> int:
+        """Return 1 if a is surely better, -1 if b is, 0 if the difference is within half of its interval and a further error."""
+        if self.a.size < FEWEST_PAIRS or abs(self.difference) <= self.half_width + error:
+            return 0
+        return int(np.sign(self.metric.worse_by(self.difference, 0.0)))
+
 
 def paired(table: Table, a: str, b: str, metric: Metric = DELTA_E, weights: Mapping[str, float] | None = None) -> Pairs:
     """Return the numbers of two sensors by pairs of frames, which have all labels but the sensor, and the repeat in common.

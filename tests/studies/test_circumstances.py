@@ -14,7 +14,7 @@ from scipy import stats
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.report.compare import numbers
-from pixsim.report.verdicts import depends, verdict
+from pixsim.report.verdicts import depends, verdict_parts
 from pixsim.studies.comparison import Comparison
 from pixsim.studies.paired import paired
 from pixsim.studies.sensors import prepare
@@ -83,9 +83,9 @@ def test_conditions_are_those_comparisons_bit_for_bit(both: Comparison, alone: l
 def test_verdict_names_the_conditions_that_disagree(both: Comparison, monkeypatch: pytest.MonkeyPatch) -> None:
     signs = {None: 1, "day": 1, "night": -1}
     monkeypatch.setattr(Comparison, "sign", lambda self, other, match=None, condition=None: signs[condition])
-    places = "a is better in day (weight 0.75), b is better in night (weight 0.25)"
+    places = "a is better in day (weight 0.75), b in night (weight 0.25)"
     assert f"depends on the condition: {places}" in depends(both, "b")
-    assert " in the weighted mean with match view" in verdict(both, "b")
+    assert verdict_parts(both, "b")[0].endswith(" in the weighted mean with match view")
 
 
 def test_one_condition_is_the_comparison_without_a_study(alone: list[Comparison], files: list[Path]) -> None:

@@ -19,7 +19,7 @@ from PIL import Image
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.base.toml import packaged
-from pixsim.report.maps import Grid, Scale, axis_plates
+from pixsim.report.maps import Grid, axis_plates
 from pixsim.report.study_facts import study_notes
 from pixsim.scene.colour_chart import modulation, write_colour_chart
 from pixsim.studies.design import cases_of, physics_of
@@ -162,19 +162,19 @@ def test_cases_with_too_few_possible_sizes_are_left_out_with_the_reason(tmp_path
         assert "a case is left out: 4t-bsi, deep, f 4" in page
 
 
-def test_figures_show_values_of_which_all_cases_are_there() -> None:
-    """Of two axes with one case left out, the value that lacks more of its cases is not shown."""
+def test_figures_leave_a_gap_where_a_case_is_left_out() -> None:
+    """A line or panel without any case is not drawn."""
     study = small(axis=[STACKS, LENSES | {"values": [2.8, 4.0, 5.6]}])
 
-    def scales(is_there: Callable[[dict[str, Any]], bool]) -> list[Scale]:
+    def lines(is_there: Callable[[dict[str, Any]], bool]) -> dict[str, list[Any]]:
         curves = [SimpleNamespace(technology="4t-bsi", at=case.at, condition="", alone="") for case in cases_of(study)]
         parts = [SimpleNamespace(curves=(curve,)) for curve in curves if is_there(curve.at)]
-        return Grid(cast("CasesResult", SimpleNamespace(study=study, parts=parts))).scales
+        grid = Grid(cast("CasesResult", SimpleNamespace(study=study, parts=parts)))
+        panels, _ = grid.panels(grid.scales[1])
+        return {panel.label: [curve and curve.at["f"] for curve in panel.rows[0]] for panel in panels}
 
-    found = scales(lambda at: at != {"stack": "deep", "f": 4.0})
-    assert [scale.values for scale in found] == [("open", "deep"), (2.8, 5.6)]
-    assert [scale.total - len(scale.values) for scale in found] == [0, 1]
-    assert [scale.values for scale in scales(lambda at: at["stack"] == "open")] == [("open",), (2.8, 4.0, 5.6)]
+    assert lines(lambda at: at != {"stack": "deep", "f": 4.0}) == {"open": [2.8, 4.0, 5.6], "deep": [2.8, None, 5.6]}
+    assert lines(lambda at: at["stack"] == "open") == {"open": [2.8, 4.0, 5.6]}
 
 
 def test_packaged_study_of_filters_is_possible() -> None:

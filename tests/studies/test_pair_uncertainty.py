@@ -15,7 +15,6 @@ from helpers.tiny import COARSE
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.base.toml import SETTINGS_FILE
-from pixsim.report.compare import _unknown
 from pixsim.report.uncertainty import pair_words
 from pixsim.sensor.readout import Frame
 from pixsim.studies.compare import scatter_variances
@@ -89,7 +88,6 @@ def test_types_are_judged_by_each_metric(tmp_path: Path) -> None:
         of_pair = result.as_dict()["uncertainty"]["b"]
         assert of_pair["metrics"][found.metric.name] == found.as_dict()
         assert pair_words(found).startswith(f"{found.metric.words}: over 8 sensor types a is better than b with the probability ")
-        assert _unknown(found)[0].startswith(f"b \u2212 a, {found.metric.words}")
     pixsim.write_report(result, tmp_path / "out")
 
 
@@ -154,9 +152,7 @@ def test_settings_repeat_the_types_and_an_interrupted_run_goes_on(
     (words,) = [line for line in out.splitlines() if "over 8 sensor types a is better than b with the probability" in line]
     assert "a read_noise_e" in words or "not told" in words
     assert first["b"]["draws"] == 8
-    page = Path("report.html").read_text(encoding="utf-8")
-    assert f"{first['b']['difference']['quantiles']['p50']:+.4f}" in page
-    assert TYPES_FILE in page
+    assert TYPES_FILE in Path("report.html").read_text(encoding="utf-8")
 
     lines = Path(TYPES_FILE).read_text(encoding="utf-8").splitlines(keepends=True)
     assert len(lines) == 1 + 2 * 8 * 2

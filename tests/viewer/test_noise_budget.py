@@ -13,7 +13,7 @@ from helpers.chains import imaging_chain
 import pixsim
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
-from pixsim.report.noise_budget import budget_columns, parts_table
+from pixsim.report.noise_budget import budget_columns, budget_table
 from pixsim.report.run import run_document, run_page
 from pixsim.sensor import noise
 from pixsim.sensor.exposure import Exposure
@@ -213,5 +213,6 @@ def test_study_tells_the_budget_of_each_best_size(tmp_path: Path) -> None:
     for part, delta_e in found.parts.items():
         of_causes = [value for value, name in zip(columns["delta_e"], columns["part"], strict=True) if name == part]
         assert sum(of_causes) == pytest.approx(delta_e, abs=1e-12)
-    (row,) = parts_table({label: found}).rows
-    assert row == (label, *(f"{value:z.3f}" for value in (found.mean_delta_e, found.parts["noise"], found.parts["blur"])))
+    rows = {row[0]: row[2] for row in budget_table({label: found}).rows}
+    sums = {"all causes": found.mean_delta_e, **{f"{part}, together": found.parts[part] for part in ("noise", "blur")}}
+    assert {name: rows[name] for name in sums} == {name: f"{value:z.3f}" for name, value in sums.items()}
