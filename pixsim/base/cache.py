@@ -165,12 +165,6 @@ def _digest_before_end(file: IO[bytes]) -> bytes:
     return digest.hexdigest().encode()
 
 
-def forget(kind: str, key: str) -> None:
-    """Remove the JSON entry of a key, if there is one."""
-    with suppress(OSError):
-        (folder() / kind / f"{key}.json").unlink()
-
-
 def store_digest_of(path: Path) -> None:
     """Store the digest of an entry that another library wrote and reads, such as a texture, as a JSON entry of the same key."""
     store_value(path.parent.name, path.stem, {"digest": _digest_of_file(path)})

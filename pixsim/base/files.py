@@ -438,7 +438,7 @@ def kind_of(mode: int) -> str:
 
 
 @contextmanager
-def opened(path: Path, name: str, expected: str, max_bytes: int | None = None) -> Iterator[IO[bytes]]:
+def opened(path: Path, name: str, expected: str, max_bytes: int | None = None) -> Iterator[io.BufferedReader]:
     """Open a regular file for reading; whatever else the path leads to is not opened.
 
     max_bytes : of the file; None allows `max_file_bytes`

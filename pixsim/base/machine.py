@@ -93,12 +93,6 @@ def text_of(path: Path) -> str:
         return ""
 
 
-def mapped_files(name: str) -> list[str]:
-    """Return the files with this in their path that this process has mapped, such as libraries; none without /proc."""
-    lines = text_of(Path("/proc/self/maps")).splitlines()
-    return sorted({"/" + line.partition("/")[2] for line in lines if name in line})
-
-
 def check_folder(path: Path) -> tuple[str | None, int | None]:
     """Why a folder, or its nearest existing parent, cannot be written (None if it can), and the free bytes there."""
     there = next((folder for folder in (path, *path.absolute().parents) if folder.exists()), Path("/"))
