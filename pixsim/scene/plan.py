@@ -516,8 +516,6 @@ def _rank_reason(lamps: list[Lamp], surfaces: Surfaces, met: Array, counts: list
         return f"{lit}, one with a colour that varies over the emitter: {pulses}"
     if surfaces.spectra is None:
         return f"{lit}; all bands, because of {surfaces.unknown}: {pulses}"
-    if not len(met):
-        return f"{lit} on neutral surfaces or none: {pulses} for all bands"
     return f"{lit} × {len(surfaces.spectra)} surface spectra ({len(met)} with interreflections): {pulses} determine all bands"
 
 

@@ -11,7 +11,7 @@ from pixsim.base.digits import f_stop, percent
 from pixsim.base.notes import Note
 from pixsim.light.spectral import photons_per_joule
 from pixsim.optics.camera import Camera
-from pixsim.optics.camera_lens import MIN_SPACING, TILES, Tiling, choose_tiling, dark_share, distortion_of, thin_lens_error
+from pixsim.optics.camera_lens import Tiling, choose_tiling, dark_share, thin_lens_error
 from pixsim.optics.lens_defocus import Defocus, defocus_at, largest_disc_um, signed_disc_um, smallest_disc_um
 from pixsim.scene.contents import LAMBERTIAN, Body
 from pixsim.scene.film import FILM_ROUNDING, SAMPLES_PER_DETAIL
@@ -24,7 +24,6 @@ SEEN_NM = np.arange(400.0, 701.0, 10.0)  # light for which tiles are chosen: eve
 THIN_LENS_SHARE = 0.5  # of the tolerance, for a thin lens in place of the real one
 DEFOCUS = "defocus of the lens"  # subject of a decision
 NEAREST = 4.0  # times nearer than the plane in focus: the least depth of shapes that reach further, or of unknown size
-STATED = 3  # errors of defocus in a warning
 MOST_STATED = 10.0  # of the contrast
 BLUR_TOLERANCES = 10.0  # of mean electrons, for the rms error of the blur over the rms of a picture: 1 % by default
 
@@ -46,26 +45,21 @@ def decide_real_lens(
     aperture_um = aperture_um or (pixel.aperture_side_um if pixel else SAMPLES_PER_DETAIL * film_um)
     pitch_um = film_um if film_um > aperture_um else aperture_um / SAMPLES_PER_DETAIL
     height, width = (math.ceil(side_um / pitch_um - FILM_ROUNDING) for side_um in camera.die_um)
-    distortion = distortion_of(camera)
-    assert distortion is not None
-    words = f"'{camera.lens.file}' at {camera.lens.focal_length_mm:.4g} mm {f_stop(camera.lens.f_number)}; in the corner "
-    words += f"{percent(camera.chief_ray_angle[-1][2])} of the light, from {camera.chief_ray_angle[-1][1]:.3g} degrees; "
-    words += f"shifts up to {1e3 * distortion.largest_mm:.3g} µm"
+    name = f"'{camera.lens.file}' at {camera.lens.focal_length_mm:.4g} mm {f_stop(camera.lens.f_number)}"
     if not full:
         error = thin_lens_error(camera, pitch_um, SEEN_NM, weight, aperture_um)
         if error <= tolerance_e * THIN_LENS_SHARE:
-            reason = f"{words}: a thin lens gives the same electrons"
+            reason = f"{name}: a thin lens gives the same electrons"
             return None, [Decision("real lens", False, reason, "distortion and tiles", error)]
     target = BLUR_TOLERANCES * tolerance_e / (4 if full else 1)
     tiling = choose_tiling(camera, (height, width), pitch_um, tuple(SEEN_NM.tolist()), tuple(weight.tolist()), aperture_um, target)
     tiles = math.ceil(1e3 * max(camera.die_mm, camera.height_mm) / tiling.spacing_um)
+    blur = f"no blur, on film cells of {pitch_um:.3g} µm"
     if tiling.psf_um:
-        blur = f"{tiles} tiles across with PSFs of {tiling.psf_um:.3g} µm, which lack up to {percent(tiling.lacking, 1)} of the "
-        blur += f"light, from wavefronts of {tiling.nodes} fields and {tiling.wavelengths} wavelengths"
-    else:
-        blur = f"no blur, on film cells of {pitch_um:.3g} µm"
-    reason = f"{words}; {blur}: rms error up to {tiling.error:.1e} of the contrast of detail all over the picture, "
-    reason += f"{tiling.cut_error:.1e} of it by the size of the PSFs; {tiling.worst:.1e} where it is largest"
+        blur = (
+            f"{tiles} tiles across with PSFs of {tiling.psf_um:.3g} µm, which lack up to {percent(tiling.lacking, 1)} of the light"
+        )
+    reason = f"{name}: {blur}; rms error up to {tiling.error:.1e} of the contrast of detail, {tiling.worst:.1e} where it is largest"
     return tiling, [Decision("real lens", True, reason, bounded=False)]
 
 
@@ -149,29 +143,17 @@ def real_lens_warnings(camera: Camera, tiling: Tiling | None, defocus: Sequence[
     notes = []
     if dark := dark_share(camera):
         notes.append(Note("image_circle", share=percent(dark, 1), lens=camera.lens.file))
-    wrong = [found for found in defocus if found.error > BLUR_TOLERANCES * tolerance_e]
-    if wrong:
-        right = [found for found in defocus if found not in wrong]
+    tolerance = BLUR_TOLERANCES * tolerance_e  # of the contrast
+    if defocus and defocus[0].error > tolerance:
         words = (
             "what is out of focus gets a thin lens's disc and the blur that the real lens has in focus, which is wrong by more "
-            f"than {percent(BLUR_TOLERANCES * tolerance_e, 1)}: {'; '.join(_amount(found) for found in wrong[:STATED])}"
+            f"than {percent(tolerance, 1)}: {_amount(defocus[0])}"
         )
-        if right:
-            words += f"; it is right with discs up to {max(found.disc_um for found in right):.3g} µm"
         notes.append(Note("lens_blur", words=words))
-    if tiling is not None and tiling.error > BLUR_TOLERANCES * tolerance_e:
-        size = f"of up to {percent(tiling.error, 1)} of" if tiling.error < 1 else "as large as"
-        size += f" the picture's contrast, above {percent(BLUR_TOLERANCES * tolerance_e, 1)}"
+    if tiling is not None and tiling.error > tolerance:
+        reason = "the film is too coarse for it, and it is left out. Take a finer film"
         if tiling.psf_um:
-            reason = (
-                f"its PSFs of {tiling.psf_um:.3g} µm lack up to {percent(tiling.lacking, 1)} of the light, which makes "
-                f"{percent(tiling.cut_error, 1)}; tiles reach their limit of {TILES[-1]} across the die or {MIN_SPACING} film "
-                "cells each, or wavefronts are too steep for polynomials"
-            )
-        else:
-            reason = (
-                "the film is too coarse for it, and it is left out; "
-                f"up to {percent(tiling.lacking, 1)} of a point's light would leave its cell. Take a finer film"
-            )
-        notes.append(Note("lens_blur", words=f"the blur of the real lens has an rms error {size}: {reason}"))
+            reason = f"its PSFs of {tiling.psf_um:.3g} µm lack up to {percent(tiling.lacking, 1)} of the light"
+        size = f"up to {percent(tiling.error, 1)} of the picture's contrast, above {percent(tolerance, 1)}"
+        notes.append(Note("lens_blur", words=f"the blur of the real lens has an rms error of {size}: {reason}"))
     return notes

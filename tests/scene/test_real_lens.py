@@ -136,10 +136,7 @@ def test_light_that_does_not_fit_a_film_cell_or_a_psf_is_told() -> None:
     assert "Take a finer film" in told
     cut = replace(plan.film.tiling, psf_um=445.0, error=0.1, cut_error=0.09, lacking=0.5)
     (told,) = [note for note in real_lens_warnings(camera, cut, [], 1e-3) if "blur" in note]
-    assert (
-        "up to 10.0 % of the picture's contrast, above 1.0 %: its PSFs of 445 µm lack up to 50.0 % of the light, which makes 9.0 %"
-        in told
-    )
+    assert "up to 10.0 % of the picture's contrast, above 1.0 %: its PSFs of 445 µm lack up to 50.0 % of the light" in told
     assert not [note for note in real_lens_warnings(camera, replace(cut, error=0.01), [], 1e-3) if "blur" in note]
 
 
