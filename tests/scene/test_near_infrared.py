@@ -91,7 +91,7 @@ def test_surfaces_of_many_passes_have_the_electrons_of_the_closed_form(tmp_path:
     steps = {300: 0.05, 600: 0.1, 620: 0.9, 700: 0.2, 720: 0.8, 900: 0.1, 920: 0.9, 1100: 0.3}
     table = ", ".join(f"{nm}:{value}" for nm, value in steps.items())
     few, image = rendered(tmp_path, wall(f'<spectrum name="reflectance" value="{table}"/>'))
-    assert few.passes < few.full_passes
+    assert few.light.passes < few.light.full_passes
     nm = np.linspace(300, 1100, 80_001)
     expected = electrons(nm, np.interp(nm, [*steps], [*steps.values()]), image)
     fall_off = camera_factor(CAMERA, image.shape, image.pitch_um)
@@ -128,7 +128,7 @@ def test_surfaces_that_end_are_refused_or_what_the_user_says(reflectance: str, t
     assert np.abs(np.interp([900.0, 1090.0], dark_nm, spectra["z"])).max() < 0.02 * at_800
     assert not held.warnings
     cut, visible = rendered(tmp_path, wall(reflectance, FROM_360), CUT)
-    assert cut.bands.edges_nm[-1] == 830
+    assert cut.light.bands.edges_nm[-1] == 830
     assert visible.wavelength_nm[-1] < 830
 
 
