@@ -31,7 +31,7 @@ FIGURES = ("layout", "spots", "psf", "mtf", "mtf_over_field", "field_curvature",
 FILES = ("report.html", "summary.json", *figure_files(FIGURES))
 
 ANGLE, HEIGHT = "field angle (degrees)", "image height (mm)"
-GLASS = {"facecolor": "#dfe9f2", "edgecolor": "0.35", "lw": 0.9}
+GLASS: dict[str, Any] = {"facecolor": "#dfe9f2", "edgecolor": "0.35", "lw": 0.9}
 
 
 @figure("layout", "Layout with rays of three fields, to the image plane.")
@@ -294,21 +294,23 @@ def field_columns(data: LensData) -> dict[str, Array]:
 def field_values(data: LensData) -> list[dict[str, Any]]:
     """Return a row for each field, with its MTF at the frequencies of the tables."""
     columns = field_columns(data)
-    fields = [dict(zip(columns, row, strict=True)) for row in np.column_stack([*columns.values()]).tolist()]
-    for field in fields:
-        field["mtf"] = []
-    for frequency in data.asked_lp_per_mm:
-        for field, both in zip(fields, data.mtf_at(frequency).tolist(), strict=True):
-            field["mtf"].append({"lp_per_mm": frequency} | plain(dict(zip(MTF_LINES, both, strict=True))))
-    return [plain(field) for field in fields]
+    rows = [plain(dict(zip(columns, row, strict=True))) for row in np.column_stack([*columns.values()]).tolist()]
+    for index, row in enumerate(rows):
+        mtfs = {
+            frequency: dict(zip(MTF_LINES, data.mtf_at(frequency)[index].tolist(), strict=True))
+            for frequency in data.asked_lp_per_mm
+        }
+        row["mtf"] = [{"lp_per_mm": frequency} | plain(mtf) for frequency, mtf in mtfs.items()]
+    return rows
 
 
 def lens_csv(data: LensData) -> str:
     """Return a row for each field as CSV."""
-    columns = field_columns(data)
-    for frequency in data.asked_lp_per_mm:
-        for name, mtf in zip(MTF_LINES, data.mtf_at(frequency).T, strict=True):
-            columns[f"mtf_{name}_{frequency:.4g}_lp_per_mm"] = mtf
+    columns = field_columns(data) | {
+        f"mtf_{name}_{frequency:.4g}_lp_per_mm": mtf
+        for frequency in data.asked_lp_per_mm
+        for name, mtf in zip(MTF_LINES, data.mtf_at(frequency).T, strict=True)
+    }
     return table_csv({name: values.tolist() for name, values in columns.items()})
 
 

@@ -6,11 +6,10 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
+from pixsim.base.arrays import Array
 from pixsim.base.digits import number, percent, with_ends
 from pixsim.base.schema import result_data
-from pixsim.base.tables import Column, table_csv
+from pixsim.base.tables import table_csv
 from pixsim.measure.sfr import COVERAGE, NYQUIST_CY_PER_PX, EdgeResponse
 from pixsim.report.panels import Line, Panel, draw_panels
 from pixsim.show.document import Answer, Document, Plot, Section
@@ -97,19 +96,19 @@ def _channel_words(data: Mapping[str, Any]) -> str:
     return f" (0.5 cy/px), {number(data['sfr_at_channel_nyquist'], 3)} at the channel's ({nyquist:.3g} cy/px)"
 
 
-def sfr_table(edge: EdgeResponse) -> dict[str, Column]:
+def sfr_table(edge: EdgeResponse) -> dict[str, Array]:
     """Return the SFR and its interval at each frequency."""
     low, high = edge.sfr_interval
     columns = {"frequency_cy_per_px": edge.frequency_cy_per_px, "sfr": edge.sfr, "sfr_low": low, "sfr_high": high}
     if edge.pitch_um is not None:
         columns["frequency_cy_per_mm"] = edge.frequency_cy_per_mm(edge.pitch_um)
-    return {name: values.tolist() for name, values in columns.items()}
+    return columns
 
 
 @figure("sfr", "SFR (ISO 12233) and its 95 % interval.")
 def sfr_plate(edge: EdgeResponse) -> Drawing:
     """Plot the SFR against frequency, with the Nyquist frequency and the MTF50."""
-    table = {name: np.array(values) for name, values in sfr_table(edge).items()}
+    table = sfr_table(edge)
     x, scale, unit = "frequency_cy_per_px", 1.0, "cycles/pixel"
     if edge.pitch_um is not None:
         x, scale, unit = "frequency_cy_per_mm", 1e3 / edge.pitch_um, "cycles/mm on the sensor"
@@ -132,4 +131,9 @@ def edge_plate(edge: EdgeResponse) -> Drawing:
     return draw_panels(table, [panel])
 
 
-PRESENTER = Presenter(document=sfr_document, figure=sfr_plate, csv=lambda edge: table_csv(sfr_table(edge)))
+def sfr_csv(edge: EdgeResponse) -> str:
+    """Return the SFR and its interval at each frequency as CSV."""
+    return table_csv({name: values.tolist() for name, values in sfr_table(edge).items()})
+
+
+PRESENTER = Presenter(document=sfr_document, figure=sfr_plate, csv=sfr_csv)
