@@ -85,6 +85,7 @@ def test_json_has_no_nan_and_options_change_the_lens(tmp_path: Path) -> None:
     assert content == {"schema": SCHEMA} | json.loads(json.dumps(made.as_dict()))
     assert pixsim.write_report(made, tmp_path / "python") == tmp_path / "python/report.html"
     names = {path.relative_to(tmp_path / "out") for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    names -= {Path("pixsim.json")}  # it states times
     assert len(names) > 10
     assert all((tmp_path / "python" / name).read_bytes() == (tmp_path / "out" / name).read_bytes() for name in names)
     focal = pixsim.load_lens("singlet").first_order(587.5618).focal_length_mm
