@@ -5,15 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from functools import partial
-from itertools import groupby
-from operator import attrgetter
 from typing import Any
 
-from pixsim.base.digits import number
+from pixsim.base.digits import number, within_error
 from pixsim.base.schema import result_data
 from pixsim.base.tables import plain, rows_csv
 from pixsim.report.score import shown_mean
-from pixsim.show.document import Answer, Block, Document, DocumentTable, Fact, Plot, Section, Strong, Text, made_with
+from pixsim.show.document import Answer, Block, Document, DocumentTable, Fact, Plot, Section, Strong, made_with
 from pixsim.show.figures import LOOKS, new_figure, plain_powers
 from pixsim.show.pages import Drawing, figure, figure_files
 from pixsim.show.presenter import Presenter
@@ -28,8 +26,8 @@ def accuracy_document(accuracy: Accuracy) -> Document:
     """Return the page of an accuracy: error against run time, the films, and the extreme cases."""
     header = accuracy.header
     made = f"{header['scene']} (hash {header['scene_hash']}), {header['variant']}, in {accuracy.seconds:.0f} s."
-    failed, passed = failed_table(accuracy.cases), passed_table(accuracy.cases)
-    sources = "stability.csv has their values, and the source of each and the reason of its limit."
+    failed = [case for case in accuracy.cases if not case.passed]
+    passed = [case for case in accuracy.cases if case.passed]
     return Document(
         command="accuracy",
         kind="accuracy and run time",
@@ -38,9 +36,9 @@ def accuracy_document(accuracy: Accuracy) -> Document:
         answers=(answer(accuracy),),
         lead=(Plot(partial(work_precision, accuracy)), *facts(accuracy)),
         sections=(
-            Section("failed", "Extreme cases that fail", (failed,) if failed.rows else (), brief=True),
+            Section("failed", "Extreme cases that fail", [cases_table(failed)] if failed else (), brief=True),
             Section("ladder", "Films", (ladder_table(accuracy), "The last one is that of the default settings."), brief=True),
-            Section("passed", "Extreme cases that meet their known answers", (passed, sources), folded=True),
+            Section("passed", "Extreme cases that meet their known answers", (cases_table(passed),), folded=True),
             Section("made", "Reproducibility", (made, made_with()), folded=True),
         ),
         files={"ladder.csv": ladder_csv(accuracy), "stability.csv": rows_csv([plain(case.as_dict()) for case in accuracy.cases])},
@@ -125,7 +123,7 @@ def ladder_table(accuracy: Accuracy) -> DocumentTable:
         (
             f"{rung.across}",
             f"{rung.seconds:.2g}",
-            f"{rung.mean_delta_e:.4f}",
+            within_error(rung.mean_delta_e, rung.error_delta_e),
             number(rung.error_delta_e),
             *(number(math.nan if error is None else error) for error in (rung.light.film_delta_e, rung.light.noise_delta_e)),
         )
@@ -135,28 +133,14 @@ def ladder_table(accuracy: Accuracy) -> DocumentTable:
     return DocumentTable("ladder", head, rows, words=None)
 
 
-def failed_table(cases: Sequence[ExtremeCase]) -> DocumentTable:
-    """Return the extreme cases that fail."""
-    rows = [
-        (
-            f"{case.room}, {case.name}",
-            *(f"{case.expected:.6g}", f"{case.got:.6g}", number(case.error), number(case.allowed)),
-            " ".join(filter(None, (case.warned, case.source))),
-        )
-        for case in cases
-        if not case.passed
-    ]
+def cases_table(cases: Sequence[ExtremeCase]) -> DocumentTable:
+    """Return extreme cases, their errors and limits."""
+    rows = []
+    for case in cases:
+        numbers = f"{case.expected:.6g}", f"{case.got:.6g}", number(case.error), number(case.allowed)
+        rows.append((f"{case.room}, {case.name}", *numbers, " ".join(filter(None, (case.warned, case.source)))))
     head = ("case", "expected", "got", "error", "limit", "warnings; source and reason of the limit")
-    return DocumentTable("failed", head, rows, words=(5,))
-
-
-def passed_table(cases: Sequence[ExtremeCase]) -> DocumentTable:
-    """Return the extreme cases that pass, below the part of the computation that they test."""
-    rows: list[tuple[Text, ...]] = []
-    for room, tested in groupby(cases, attrgetter("room")):
-        passed = [(case.name, number(case.error), number(case.allowed)) for case in tested if case.passed]
-        rows += [(room,), *passed] if room and passed else passed
-    return DocumentTable("passed", ("worst element of a sweep", "error", "limit"), rows)
+    return DocumentTable("extreme cases", head, rows, words=(5,))
 
 
 PRESENTER = Presenter(document=accuracy_document, figure=work_precision, csv=ladder_csv)

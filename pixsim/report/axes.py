@@ -2,48 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from pixsim.base.arrays import Array
-from pixsim.base.schema import result_data
+from pixsim.base.digits import span
 from pixsim.base.tables import Column, columns_of, table_csv
 from pixsim.base.toml import SETTINGS_FILE
-from pixsim.report.curve import curve_data, delta_e_against_pitch, optima_data, optima_table, optimum_line
+from pixsim.report.curve import delta_e_against_pitch, optima_table, optimum_line
 from pixsim.report.maps import alone_groups, alone_plate, axis_plates, case_columns, optimum_columns, plate_names
 from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.regret import REGRETS, condition_regrets_data, regrets_plate, regrets_tables
 from pixsim.report.study import (
     ANSWERS_OF_PAGE,
+    StudyDrawing,
     agrees,
     document_of,
     plot_of,
     report_files,
+    study_data,
     study_document,
+    study_drawing,
     study_page,
     with_files_of_study,
 )
-from pixsim.report.study_facts import study_notes
-from pixsim.report.wording import DELTA_E, film_words, rendered_words
-from pixsim.show.document import Block, Document, DocumentTable, Fact, Link, Listed, Plot, Section, made_with, pairs
-from pixsim.show.pages import Figures, Plate, figure_files
+from pixsim.report.wording import film_words, rendered_words
+from pixsim.show.document import Block, Document, DocumentTable, Fact, Link, Listed, Section
+from pixsim.show.pages import figure_files
 from pixsim.show.presenter import PageOptions, Presenter
 from pixsim.studies.claims import Verdict, verdicts
 from pixsim.studies.design import BASE, Case, cases_of
 from pixsim.studies.engine import Workers
-from pixsim.studies.film_error import FilmError
 from pixsim.studies.merit import noise_budgets
 from pixsim.studies.regret import Regrets, condition_regrets
 from pixsim.studies.result import CasesResult, StudyResult
 from pixsim.studies.settings import Study
-from pixsim.studies.table import ROWS_FILE
 from pixsim.viewer.display import white_light
 
 REGRETS_FILE = "regrets.csv"
+ABOUT_CASES = (
+    "All pixel sizes see the same die in all cases, which have the same random numbers: they differ by their settings only. The "
+    "regret of a pixel size in a condition is its value there over that of the best size for that condition, less 1."
+)
 SHOWN_CASES = 4  # with a report of their own
 SHOWN_REGRETS = 6  # with a figure of their own
 
@@ -80,27 +83,29 @@ def axes_document(result: CasesResult, regrets: Sequence[Regrets], warned: Colle
     regrets : `condition_regrets` of the study
     warned : notes that a reader of the terminal has seen
     """
+    alone = alone_table(result)
+    films = [part.film for part in result.parts if part.film is not None]
+    worst = max(films, key=lambda film: film.largest_delta_e, default=None)
+    facts = [*([alone] if alone.rows else []), *([Fact(film_words(worst.as_dict()))] if worst else [])]
     data = cases_data(result, regrets) | {"counts": asdict(result.counts)}
-    facts = map(Fact, [*alone_words(result), *film_of_cases(result)])
-    return replace(document_of(result, data, regrets, [*facts], warned), kind="study of several cases")
+    return replace(document_of(result, data, regrets, facts, warned), kind="study of several cases")
 
 
-def alone_words(result: CasesResult) -> list[str]:
-    """Return how far each axis that is moved alone moves the optimum, widest first, for the panels of its figure."""
+def alone_table(result: CasesResult) -> DocumentTable:
+    """Return how far each axis that is moved alone moves the optimum and its value, widest first."""
+    rows = []
     names = [axis.name for axis in result.study.axis if axis.alone]
-    groups = alone_groups(result, names) if names else []
-    lines = []
-    for group in groups:
-        found = []
+    for group in alone_groups(result, names) if names else []:
         for name in names:
             optima = [group.base.optimum, *(curve.optimum for curve in group.moved[name])]
-            sizes, values, metric = [best.pitch_um for best in optima], [best.value for best in optima], group.base.metric
-            form = ".3f" if metric.is_delta_e else ".4g"
-            end = "" if all(best.inside for best in optima) else " (an end of the sizes tried)"
-            text = f"{min(sizes):.2f} to {max(sizes):.2f} µm{end}, {metric.best} {min(values):{form}} to {max(values):{form}}"
-            found.append((max(sizes) - min(sizes), f"{', '.join(filter(None, (group.label, name)))} alone: {text}"))
-        lines += [line for _, line in sorted(found, key=lambda each: -each[0])]
-    return lines
+            sizes_um = sorted(best.pitch_um for best in optima)
+            values = sorted(best.value for best in optima)
+            label = ", ".join(filter(None, (group.label, name)))
+            texts = span(sizes_um[0], sizes_um[-1], ".2f"), span(values[0], values[-1], ".4g")
+            rows.append((sizes_um[-1] - sizes_um[0], (label, *texts)))
+    rows.sort(key=lambda row: -row[0])
+    head = ("alone", "optimum (µm)", result.curves[0].metric.best)
+    return DocumentTable("one at a time", head, [row for _, row in rows], words=None)
 
 
 def cases_data(result: CasesResult, regrets: Sequence[Regrets]) -> dict[str, Any]:
@@ -112,30 +117,12 @@ def cases_data(result: CasesResult, regrets: Sequence[Regrets]) -> dict[str, Any
         labels |= {"film": part.film and part.film.as_dict(), "agrees": {row.statement: row.agrees for row in findings}}
         light = {"irradiance": part.irradiance.header, "white_spectrum": white_light(part.irradiance)[1]}
         cases.append({"at": first.at} | {name: value for name, value in labels.items() if value} | light)
-    further = {
+    content = {
         "left_out": list(result.left_out),
-        "regrets": [condition_regrets_data(found) for found in regrets],
+        "regrets": [condition_regrets_data(of_metric) for of_metric in regrets],
         "claims": [verdict.as_dict() for verdict in verdicts(result)],
     }
-    settings = result.study.model_dump(mode="json")
-    content = {
-        "study": settings,
-        "chosen": result.view,
-        "curves": [curve_data(curve) | {"dark": result.part_of(curve).dark(curve)} for curve in result.curves],
-        **{name: values for name, values in further.items() if values},
-    }
-    optima = [optimum for curve in result.curves for optimum in optima_data(curve)]
-    return result_data(content, settings=settings, notes=study_notes(result), cases=cases, table=ROWS_FILE, optima=optima)
-
-
-def film_of_cases(result: CasesResult) -> list[str]:
-    """Return words on each film of the cases, with its largest error."""
-    worst: dict[tuple[int, int], FilmError] = {}
-    for part in result.parts:
-        if part.film is not None:
-            shape = part.film.shape
-            worst[shape] = max(worst.get(shape, part.film), part.film, key=lambda film: film.largest_delta_e)
-    return [film_words(film.as_dict()) for film in worst.values()]
+    return study_data(result, content, cases=cases)
 
 
 def axes_files(study: Study) -> set[str]:
@@ -147,23 +134,16 @@ def axes_files(study: Study) -> set[str]:
     return {"report.html", "summary.json", SETTINGS_FILE, "optima.csv", REGRETS_FILE, *figure_files(plates), *own}
 
 
-def study_report(
-    result: StudyResult,
-    regrets: Sequence[Regrets],
-    seconds: dict[str, float],
-    workers: Workers | None = None,
-    figures: Figures = "svg",
-) -> Document:
+def study_report(result: StudyResult, regrets: Sequence[Regrets], workers: Workers, drawing: StudyDrawing) -> Document:
     """Return the document of any study with its page and all other files; the first cases of one with axes have their own.
 
-    Only the wall times in the page vary: everything else is reproducible byte for byte, and does not depend on the workers.
+    It is reproducible byte for byte, and does not depend on the workers.
 
     regrets : `condition_regrets` of the study
-    seconds : stage -> wall time in s
-    workers : processes that draw the figures; None means this process
-    figures : "pdf" draws a PDF beside each SVG
+    workers : processes that make pictures
+    drawing : thread that draws figures
     """
-    draw = partial(study_page, seconds=seconds, workers=workers or Workers(), figures=figures)
+    draw = partial(study_page, workers=workers, drawing=drawing)
     if not isinstance(result, CasesResult):
         return with_files_of_study(draw(result, budgets=noise_budgets(result)), result)
     cases = shown_cases(
@@ -171,51 +151,44 @@ def study_report(
     )
     parts = list(zip(cases, result.parts[: len(cases)], strict=True))
     pages = {case.folder: draw(part) for case, part in parts}
-    return with_files_of_study(replace(axes_page(result, regrets, seconds, parts), parts=pages), result)
+    return with_files_of_study(replace(axes_page(result, regrets, parts), parts=pages), result)
 
 
-def axes_page(
-    result: CasesResult, regrets: Sequence[Regrets], seconds: dict[str, float], parts: Sequence[tuple[Case[Study], StudyResult]]
-) -> Document:
+def axes_page(result: CasesResult, regrets: Sequence[Regrets], parts: Sequence[tuple[Case[Study], StudyResult]]) -> Document:
     """Return the document of a study with axes or conditions, with its page.
 
     parts : cases with a page of their own
     """
     pitch_um = np.unique(np.concatenate([curve.pitch_um for curve in result.curves]))
     alone = alone_plate(result)
-    plots = {
-        "maps": [plot_of(plate) for plate in axis_plates(result)],
-        "alone": [plot_of(alone)] if alone else [],
-        "regrets": [
-            Plot(partial(_numbered_regrets, found, pitch_um, number)) for number, found in enumerate(regrets[:SHOWN_REGRETS], 1)
-        ],
-        "curves": [Plot(lambda: delta_e_against_pitch(result.curves))],
-    }
-    first = next(drawn for drawn in plots.values() if drawn).pop(0)  # the figure that answers what was asked
-
-    tables = [table for found in regrets for table in regrets_tables(found)]
-    brief, header = axes_document(result, regrets), result.irradiance.header
+    plates = [*axis_plates(result), *([alone] if alone else [])]
+    plates += [
+        regrets_plate(of_metric, pitch_um).named(f"{REGRETS}_{number}")
+        for number, of_metric in enumerate(regrets[:SHOWN_REGRETS], 1)
+    ]
+    first, *others = map(plot_of, plates or [delta_e_against_pitch(result.curves)])  # the first answers what was asked
+    tables = [table for of_metric in regrets for table in regrets_tables(of_metric)]
     listed = [
         (Link(case.words or "the study's own settings", f"{case.folder}/report.html"), f": {optimum_line(part.curves[0])}")
         for case, part in parts
     ]
     best = (Link("The same with all digits (CSV)", "optima.csv"),)
     all_regrets = (Link("The same with all digits (CSV)", REGRETS_FILE),)
-    made = f"{result.counts}. Study seed {result.study.seed}; first render: {rendered_words(header)}."
+    rendered = rendered_words(result.irradiance.header)
+    made = f"{ABOUT_CASES} {result.counts}. Study seed {result.study.seed}; first render: {rendered}."
+    brief = axes_document(result, regrets)
     return replace(
         brief,
         answers=tuple(brief.answers)[:ANSWERS_OF_PAGE],
-        data=cases_data(result, regrets),
-        lead=(first, *brief.lead),
+        lead=(first, *tuple(brief.lead)[1:]),
         sections=(
-            Section("maps", "Along the axes", plots["maps"]),
-            Section("alone", "One at a time", plots["alone"]),
-            Section("regrets", "Regrets of the conditions", [*tables, all_regrets, *plots["regrets"]] if regrets else ()),
+            Section("axes", "Along the axes and over the conditions", others),
+            Section("regrets", "Regrets of the conditions", [*tables, all_regrets] if regrets else ()),
             Section("cases", "Cases with pictures", [Listed(listed)]),
             Section("optima", "Optima", [optima_table(result.curves), best]),
             Section("claims", "The paper's statements", _claims(result)),
             budgets_section(noise_budgets(result)),
-            Section("made", "How this was computed", [*_about(result), made, made_with(pairs("seconds", seconds, 2))], folded=True),
+            Section("made", "How this was computed", [made], folded=True),
         ),
         files={
             "optima.csv": table_csv(optima_columns(result)),
@@ -224,27 +197,13 @@ def axes_page(
     )
 
 
-def _numbered_regrets(regrets: Regrets, pitch_um: Array, number: int) -> Plate:
-    return regrets_plate(regrets, pitch_um).named(f"{REGRETS}_{number}")
-
-
-def _about(result: CasesResult) -> list[str]:
-    """Return what the numbers of the page mean."""
-    texts = [
-        f"All pixel sizes see the same die under each of the {result.counts.cases} cases. All cases have the same random numbers, "
-        "so that they differ by their settings only. The regret of a pixel size in a condition is its value there over that of the "
-        "best size for that condition, less 1."
-    ]
-    return [*texts, DELTA_E] if result.curves[0].has_delta_e else texts
-
-
 def _claims(result: CasesResult) -> list[Block]:
     """Return the paper's statements, and the cases that change a verdict, if they are compared."""
     rows = []
-    for each in verdicts(result):
-        found, turned = each.finding, len(each.turned_by)
-        changed = f"{turned} of {result.counts.cases - 1}{f': {verdict_words(each)}' if turned else ''}"
-        rows.append((found.statement, found.given, found.found, agrees(found.agrees), changed))
+    for verdict in verdicts(result):
+        finding = verdict.finding
+        changed = f"{len(verdict.turned_by)} of {result.counts.cases - 1}: {verdict_words(verdict)}".removesuffix(": ")
+        rows.append((finding.statement, finding.given, finding.found, agrees(finding.agrees), changed))
     head = ("statement of the paper", "paper", "first case", "agrees", "cases that change the verdict")
     table = DocumentTable("the paper's statements", head, rows, words=None, stacks=True)
     return [table] if rows else []
@@ -252,22 +211,7 @@ def _claims(result: CasesResult) -> list[Block]:
 
 def verdict_words(verdict: Verdict) -> str:
     """Return the cases with the opposite verdict as text."""
-    return turned_words(
-        (curve.alone, curve.at[curve.alone], curve.condition) if curve.alone else ("", curve.words, "")
-        for curve in verdict.turned_by
-    )
-
-
-def turned_words(cases: Iterable[tuple[str, float | int | str, str]]) -> str:
-    """Return cases as text, the values of each axis that is moved alone together: bits (8, 12); f/8, night.
-
-    cases : (the axis that is moved alone, or empty; its value, or the words of the case; the condition) of each
-    """
-    groups: dict[str, list[str]] = {}
-    for axis, value, condition in cases:
-        text = value if isinstance(value, str) else f"{value:.4g}"
-        groups.setdefault(axis, []).append(", ".join(filter(None, (text, condition))) or BASE)
-    return "; ".join(f"{axis} ({', '.join(values)})" if axis else "; ".join(values) for axis, values in groups.items()) or "none"
+    return "; ".join(curve.words or BASE for curve in verdict.turned_by)
 
 
 def result_document(result: StudyResult) -> Document:
@@ -280,7 +224,10 @@ def result_document(result: StudyResult) -> Document:
 def result_page(result: StudyResult, options: PageOptions) -> Document:
     """Return the document of any study with its page and all other files."""
     regrets = condition_regrets(result.study, result.curves)
-    return study_report(result, regrets, dict(options.seconds), figures=options.figures)
+    with study_drawing(options.figures) as drawing:
+        page = study_report(result, regrets, Workers(), drawing)
+        drawing.wait()
+    return page
 
 
 def result_csv(result: StudyResult) -> str:

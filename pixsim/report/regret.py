@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.digits import interval, rounded
+from pixsim.base.digits import interval, rounded, within_error
 from pixsim.show.document import DocumentTable
 from pixsim.show.figures import LOOKS, literal, new_figure
 from pixsim.show.pages import Drawing, figure
@@ -58,30 +58,23 @@ def regrets_plate(regrets: Regrets, pitch_um: Array) -> Drawing:
 )
 def metrics_against_pitch(curve: Curve) -> Drawing:
     """Draw each metric against pixel size in its own unit: means of sensors, and the fitted curve with its best size."""
-    metrics = curve.metrics
     fits = {curve.metric.name: curve.fit} | curve.fits
-    rows = -(-len(metrics) // 2)
-    figure = new_figure(6.4, 0.6 + 2.1 * rows)
-    panels = figure.subplots(rows, 2, squeeze=False, sharex=True).ravel()
+    figure = new_figure(6.4, 0.6 + 1.6 * len(curve.metrics))
+    panels = figure.subplots(len(curve.metrics), 1, squeeze=False, sharex=True).ravel()
     table: dict[str, Array] = {"pitch_um": curve.pitch_um}
-    for axes, metric in zip(panels, metrics, strict=False):
-        values = curve.statistics[metric.columns[0]]
-        low, mean, high = np.transpose([_finite_interval(sensors) for sensors in values])
+    colour = LOOKS[0].colour
+    for axes, metric in zip(panels, curve.metrics, strict=True):
+        column = metric.columns[0]
+        low, mean, high = np.transpose([_finite_interval(sensors) for sensors in curve.statistics[column]])
         half = (high - low) / 2
-        axes.errorbar(curve.pitch_um, mean, half, fmt="o", ms=3, lw=1, capsize=2, color=LOOKS[0].colour)
+        axes.errorbar(curve.pitch_um, mean, half, fmt="o", ms=3, lw=1, capsize=2, color=colour)
         if fit := fits.get(metric.name):
-            axes.plot(fit.pitch_um, metric.of_loss(fit.delta_e), lw=1.2, color=LOOKS[0].colour)
-            axes.plot(fit.optimum.pitch_um, fit.optimum.value, "v", ms=7, mfc="white", mec=LOOKS[0].colour)
-        better = "less is better" if metric.better == "less" else "more is better"
-        axes.set_title(f"{metric.label}: {better}", fontsize=8)
-        if np.nanmin(mean) >= 0:
-            axes.set_ylim(0, HEADROOM * max(axes.get_ylim()[1], float(np.nanmax(mean))))
+            axes.plot(fit.pitch_um, metric.of_loss(fit.delta_e), lw=1.2, color=colour)
+            axes.plot(fit.optimum.pitch_um, fit.optimum.value, "v", ms=7, mfc="white", mec=colour)
+        axes.set_title(f"{metric.label}: {metric.better} is better", fontsize=8)
         axes.grid(alpha=0.25)
-        table |= {metric.columns[0]: mean, f"{metric.columns[0]}_ci95": half}
-    for axes in panels[len(metrics) :]:
-        axes.set_axis_off()
-    for axes in panels[-2:]:
-        axes.set_xlabel("pixel size (µm)")
+        table |= {column: mean, f"{column}_ci95": half}
+    panels[-1].set_xlabel("pixel size (µm)")
     figure.suptitle(literal(curve.label), fontsize=9)
     return figure, table
 
@@ -94,15 +87,17 @@ def _finite_interval(values: Array) -> tuple[float, float, float]:
 
 def regrets_tables(regrets: Regrets) -> tuple[DocumentTable, DocumentTable]:
     """Return the best sizes of the numbered criteria, and their regrets at the best size of each number."""
-    head = (f"{regrets.kind}\n", "best size\n(µm)", "95 %\ninterval", "between\nsizes (%)", "value\n")
+    head = (f"{regrets.kind}\n", "best size\n(µm)", "95 %\ninterval", "value\n")
     matrix_head = ("regret in % at the best size of", *(str(number) for number, _ in enumerate(regrets.criteria, 1)))
 
     rows, matrix_rows = [], []
     for place, (criterion, of_criterion) in enumerate(zip(regrets.criteria, regrets.matrix.tolist(), strict=True)):
         name = f"{place + 1} {criterion.name}"
         best = criterion.optimum
-        between = f"{100 * best.between_sizes_share:.0f}"
-        rows.append((name, best_size_words(criterion), interval(best.interval_um), between, criterion.metric.shown(best.value)))
+        low, high = best.value_interval
+        unit = "ΔE" if criterion.metric.is_delta_e else criterion.metric.unit
+        value = f"{within_error(best.value, (high - low) / 2)} {unit}".rstrip()
+        rows.append((name, best_size_words(criterion), interval(best.interval_um), value))
         matrix_rows.append((name, *("–" if column == place else percent(regret) for column, regret in enumerate(of_criterion))))
 
     sizes = DocumentTable(f"best sizes of {regrets.label}", head, rows, f"{regrets.label}: best sizes", words=(0, 1, 2))

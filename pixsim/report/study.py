@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from concurrent.futures import Future, wait
-from dataclasses import asdict, dataclass, replace
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import asdict, replace
+from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec
 
@@ -15,9 +17,7 @@ from pixsim.base.toml import SETTINGS_FILE
 from pixsim.report.curve import (
     closed_range,
     curve_data,
-    curve_table,
     delta_e_against_pitch,
-    numbers_table,
     optima_data,
     optima_table,
     optimum_answer,
@@ -25,7 +25,7 @@ from pixsim.report.curve import (
 )
 from pixsim.report.neq import NEQ, neq_against_frequency
 from pixsim.report.noise_budget import NAME, budgets_section
-from pixsim.report.paper import PAPER_PLATES, map_plates, numbered, scene_plates
+from pixsim.report.paper import MAP_FIGURES, PAPER_PLATES, SCENE_FIGURES, numbered
 from pixsim.report.pictures import size_words
 from pixsim.report.regret import REGRETS, metrics_against_pitch, regrets_plate
 from pixsim.report.settings import UNSTATED, record_rows, scene_rows, settings_blocks, settings_table, settings_tables
@@ -46,21 +46,27 @@ from pixsim.show.document import (
     Slider,
     Tiles,
     VerdictText,
-    made_with,
     pairs,
 )
-from pixsim.show.figures import COLOURS, LEGEND_LINE, LOOKS, draw_terms, drawing_thread, fix_margins, literal, new_figure
+from pixsim.show.figures import COLOURS, LEGEND_LINE, draw_terms, drawing_thread, fix_margins, literal, new_figure, prepare_to_draw
 from pixsim.show.pages import Drawing, Drawn, Figures, Plate, figure, figure_files
 from pixsim.show.pictures import scale
-from pixsim.show.render import lines
+from pixsim.show.render import html
 from pixsim.show.sentences import capital
-from pixsim.studies.claims import FIGURE_6_PITCHES_UM, REFERENCE_TECHNOLOGY, Evidence, Finding, SizeMaps, findings, size_maps
+from pixsim.studies.claims import (
+    FIGURE_6_PITCHES_UM,
+    REFERENCE_TECHNOLOGY,
+    SENSORS,
+    Evidence,
+    Finding,
+    SizeMaps,
+    findings,
+    size_maps,
+)
 from pixsim.studies.curve import Curve
-from pixsim.studies.design import imaging_of
 from pixsim.studies.engine import Workers, results_of
 from pixsim.studies.merit import (
     detail_frequency_lp_per_mm,
-    detail_terms,
     longest_path_um,
     mpe30_lx_s,
     mtf50_cy_per_mm,
@@ -76,31 +82,13 @@ from pixsim.studies.table import ROWS_FILE
 from pixsim.viewer.display import white_light
 
 if TYPE_CHECKING:
-    from pixsim.base.arrays import Array
     from pixsim.viewer.noise_budget import NoiseBudget
-    from pixsim.viewer.score import FrameScore
 
 P = ParamSpec("P")
 NO_BUDGETS: Mapping[str, NoiseBudget] = MappingProxyType({})
 ANSWERS_SHOWN = 12  # optima at the top
 ANSWERS_OF_PAGE = 4  # before its figure; a table has all
 LEGEND_HEADROOM = 1.35  # over the highest point, for a legend of three lines
-
-
-@figure("other_statistics", "Statistics of ΔE of the same pictures against pixel size, each divided by its minimum.")
-def other_statistics(curve: Curve) -> Drawing:
-    """Plot the mean, percentiles and maximum of ΔE against pitch, each over its minimum."""
-    figure = new_figure(6.4, 3.6)
-    axes = figure.subplots()
-    fix_margins(figure)
-    for (name, values), look in zip(curve.means.items(), LOOKS, strict=False):
-        axes.plot(curve.pitch_um, values / values.min(), ms=3.5, lw=1, label=name.removesuffix("_delta_e"), **look.line)
-    axes.set(xlabel="pixel size (µm)", ylabel="ΔE over its minimum", ylim=(0.9, 3.0))
-    axes.grid(alpha=0.25)
-    axes.legend(frameon=False, fontsize=8, handlelength=LEGEND_LINE)
-    axes.set_title(literal(curve.label), fontsize=9)
-    over_minimum = {f"{name}_over_minimum": values / values.min() for name, values in curve.means.items()}
-    return figure, curve_table([curve]) | over_minimum
 
 
 @figure(
@@ -186,122 +174,125 @@ FIGURE_NUMBERS = {"delta_e_against_pitch": 7, "delta_e_against_pitch_all": 8, "o
 
 
 class PictureTask(NamedTuple):
-    """What a worker makes: the pictures of a technology, or the ΔE maps of one of the paper's pixel sizes."""
+    """What a worker makes: the maps of a pixel size of a technology, or the pictures of all sizes.
 
-    number: int
-    technology: str
-    pitch_um: float | None = None
-
-    def __str__(self) -> str:
-        return f"pictures of {self.technology}" if self.pitch_um is None else f"maps of {self.pitch_um:g} µm pixels"
-
-
-class SensorPictures(NamedTuple):
-    """Pictures of the best of the sizes tried of a technology.
-
-    score : of the first sensor
-    mean : (H, W) mean ΔE map of `sensors` sensors
-    views : details and whole pictures of all sizes
+    sensors : of the maps; 0 for pictures
     """
 
-    curve: Curve
-    score: FrameScore
-    mean: Array
+    technology: str
+    pitch_um: float
     sensors: int
-    views: Views
 
-    def plate(self, result: StudyResult) -> Plate:
-        """Return their figure."""
-        plate = study_pictures(result, self.curve, self.score, self.mean, self.sensors)
-        return plate.named(f"pictures_{self.curve.file_label}")
+    def __str__(self) -> str:
+        return f"maps of {self.pitch_um:g} µm pixels" if self.sensors else f"pictures of {self.technology}"
 
 
-def make_pictures(task: PictureTask, result: StudyResult) -> tuple[PictureTask, SensorPictures | SizeMaps]:
-    """Return what a worker makes, with its task; it imports no Matplotlib."""
-    if task.pitch_um is not None:
-        return task, size_maps(result, task.pitch_um)
-    curve = next(curve for curve in result.curves if curve.technology == task.technology)
-    pitch_um = float(curve.pitch_um[best_place(curve)])
-    sensors = min(SENSORS_SHOWN, result.sensors_at(curve.technology, pitch_um))
-    scores = result.shown_scores(curve.technology, pitch_um, sensors)
-    mean = np.mean([score.delta_e for score in scores], axis=0)
-    return task, SensorPictures(curve, scores[0], mean, sensors, study_views(result, curve, scores[0]))
+def make_pictures(call: tuple[int, PictureTask], result: StudyResult) -> tuple[int, Views | SizeMaps]:
+    """Return what a worker makes, with its number; it imports no Matplotlib."""
+    number, task = call
+    if task.sensors:
+        return number, size_maps(result, task.pitch_um, task.technology, task.sensors)
+    return number, study_views(result, next(curve for curve in result.curves if curve.technology == task.technology))
 
 
-@dataclass(frozen=True)
-class StudyFigures:
-    """The figures and pictures of a study's page, and the statements of the paper that it checks."""
+class StudyDrawing:
+    """A thread that draws the figures of a study: those that follow from its light alone while workers evaluate.
 
-    curves: Sequence[Drawn]
-    limits: Sequence[Drawn]
-    maps: Sequence[Drawn]
-    paper: Sequence[Drawn]
-    views: Sequence[Views]
-    statements: Sequence[Finding]
+    figures : "pdf" draws a PDF beside each SVG
+    scene, maps : the paper's figures of pixels and scene, and of ΔE maps, if they are begun
+    sizes : pitch -> maps of the paper's pixel sizes, if they are begun
+    """
+
+    def __init__(self, thread: ThreadPoolExecutor, figures: Figures) -> None:
+        self._thread = thread
+        self.figures = figures
+        self.scene: list[Plot] = []
+        self.maps: list[Plot] = []
+        self.sizes: Future[dict[float, SizeMaps]] | None = None
+
+    def begin(self, study: StudyResult) -> None:
+        """Begin with what follows from the light alone.
+
+        study : in its light, without curves
+        """
+        self._thread.submit(prepare_to_draw)
+        self._thread.submit(html, Document("study", "", "", {}))  # which compiles the templates
+        if study.study.paper:
+            self.scene = [self.plot(draw, study) for draw in SCENE_FIGURES]
+            sizes = self._thread.submit(lambda: {pitch_um: size_maps(study, pitch_um) for pitch_um in FIGURE_6_PITCHES_UM})
+            self.sizes = sizes
+            self.maps = [self.plot(lambda draw=draw: draw(Evidence(study, {}, sizes.result()))) for draw in MAP_FIGURES]
+
+    def plot(self, draw: Callable[P, Plate], *args: P.args, **options: P.kwargs) -> Plot:
+        """Return a figure that is drawn after those that wait."""
+        return Plot(self._thread.submit(lambda: draw(*args, **options).drawn(self.figures)).result)
+
+    def has_begun_sizes(self) -> bool:
+        """Return whether the maps of the paper's sizes are made or being made; if not, workers make them faster."""
+        return self.sizes is not None and not self.sizes.cancel()
+
+    def wait(self) -> None:
+        """Wait for all figures."""
+        self._thread.submit(lambda: None).result()
 
 
-def study_figures(result: StudyResult, workers: Workers, figures: Figures) -> StudyFigures:
-    """Return the figures of a study's page: a thread of this process draws while workers make pictures and maps."""
-    by_name = {curve.technology: curve for curve in result.curves}
-    first, paper = by_name.get(REFERENCE_TECHNOLOGY, result.curves[0]), result.study.paper
-    kinds: list[tuple[str, float | None]] = [(curve.technology, None) for curve in result.curves if curve.has_delta_e]
-    kinds += [(REFERENCE_TECHNOLOGY, pitch_um) for pitch_um in FIGURE_6_PITCHES_UM if paper]
-    tasks = [PictureTask(number, *kind) for number, kind in enumerate(kinds)]
+@contextmanager
+def study_drawing(figures: Figures = "svg") -> Iterator[StudyDrawing]:
+    """Provide the drawing of a study; figures that wait are given up when the block ends."""
+    with drawing_thread() as thread:
+        yield StudyDrawing(thread, figures)
+
+
+def pictures_of_workers(
+    result: StudyResult, workers: Workers, sizes_um: Sequence[float]
+) -> tuple[list[Views], list[SizeMaps], dict[float, SizeMaps]]:
+    """Return pictures and maps of the best size of each technology judged by ΔE, and maps of pixel sizes of the paper's."""
+    tasks: list[PictureTask] = []
+    for curve in result.curves:
+        if curve.has_delta_e:
+            best_um = float(curve.pitch_um[best_place(curve)])
+            sensors = min(SENSORS_SHOWN, result.sensors_at(curve.technology, best_um))
+            tasks += [PictureTask(curve.technology, best_um, sensors), PictureTask(curve.technology, 0.0, 0)]
+    best = len(tasks)
+    tasks += [PictureTask(REFERENCE_TECHNOLOGY, pitch_um, SENSORS) for pitch_um in sizes_um]
 
     def shared() -> StudyResult:  # one function for all calls, so that workers share the result
         return result
 
-    with drawing_thread() as pool:
-
-        def draw(make: Callable[P, Sequence[Plate]], *args: P.args, **options: P.kwargs) -> Future[list[Drawn]]:
-            return pool.submit(lambda: [plate.drawn(figures) for plate in make(*args, **options)])
-
-        curves = draw(plates_of_curves, result, first)
-        limits = draw(lambda: [light_against_detail(result, first)])
-        scene = draw(scene_plates, result) if paper else None
-        if workers.jobs == 1:  # nothing else computes meanwhile
-            wait([future for future in (curves, limits, scene) if future])
-
-        made = dict(sorted(results_of(make_pictures, [(task, shared) for task in tasks], workers)))
-        pictures = [part for part in made.values() if isinstance(part, SensorPictures)]
-        maps = draw(lambda: [part.plate(result) for part in pictures])
-        sizes = {task.pitch_um or 0.0: part for task, part in made.items() if isinstance(part, SizeMaps)}
-        evidence = Evidence(result, by_name, sizes)
-        statements = findings(evidence) if paper else []
-        others = draw(map_plates, evidence) if paper else None
-        return StudyFigures(
-            curves=curves.result(),
-            limits=limits.result(),
-            maps=maps.result(),
-            paper=[drawn for future in (scene, others) if future for drawn in future.result()],
-            views=[part.views for part in pictures],
-            statements=statements,
-        )
+    made = dict(results_of(make_pictures, [((number, task), shared) for number, task in enumerate(tasks)], workers))
+    parts = [made[number] for number in range(len(tasks))]
+    views = [part for part in parts if isinstance(part, Views)]
+    maps = [part for part in parts[:best] if isinstance(part, SizeMaps)]
+    return views, maps, {part.score.physics.pitch_um: part for part in parts[best:] if isinstance(part, SizeMaps)}
 
 
-def plates_of_curves(result: StudyResult, first: Curve) -> list[Plate]:
-    """Return the figures of all curves and of the first one; the first figure answers what was asked."""
-    plates = [delta_e_against_pitch([first])]
+def pictures_plate(result: StudyResult, curve: Curve, maps: SizeMaps) -> Plate:
+    """Return the figure of the best of the sizes tried of a technology."""
+    plate = study_pictures(result, curve.label, maps, map_end(result))
+    return plate.named(f"pictures_{curve.file_label}")
+
+
+def curve_figures(result: StudyResult, first: Curve) -> list[Callable[[], Plate]]:
+    """Return what draws the figures of all curves and of the first one; the first figure answers what was asked."""
+    draw: list[Callable[[], Plate]] = [lambda: delta_e_against_pitch([first])]
     if len(result.curves) > 1:
-        plates.insert(0, delta_e_against_pitch(result.curves).named("delta_e_against_pitch_all"))
+        draw.insert(0, lambda: delta_e_against_pitch(result.curves).named("delta_e_against_pitch_all"))
     if regrets := metric_regrets(first):
-        plates.append(regrets_plate(regrets, first.pitch_um))
+        draw.append(lambda: regrets_plate(regrets, first.pitch_um))
     if len(first.metrics) > 1:
-        plates.append(metrics_against_pitch(first))
+        draw.append(lambda: metrics_against_pitch(first))
     if quanta := quanta_of_study(result):
-        plates.append(neq_against_frequency(quanta))
-    if len(result.curves) > 1:
-        processes = not any(curve.data_sheet for curve in result.curves)
-        if processes and len({curve.feature_size_um for curve in result.curves}) > 1:
-            plates.append(optimum_against_technology(result))
-    if first.judged_by_delta_e:
-        plates.append(other_statistics(first))
-    if not result.study.paper:
-        return plates
-    numbers = FIGURE_NUMBERS
-    return [
-        numbered(plate, numbers[plate.name], curve_file(plate.name, True)) if plate.name in numbers else plate for plate in plates
-    ]
+        draw.append(lambda: neq_against_frequency(quanta))
+    if len({curve.feature_size_um for curve in result.curves} - {None}) > 1:
+        draw.append(lambda: optimum_against_technology(result))
+    return [partial(_with_number, make) for make in draw] if result.study.paper else draw
+
+
+def _with_number(draw: Callable[[], Plate]) -> Plate:
+    """Return a figure with its number in the paper, if it has one."""
+    plate = draw()
+    number = FIGURE_NUMBERS.get(plate.name)
+    return numbered(plate, number, curve_file(plate.name, True)) if number else plate
 
 
 def curve_file(name: str, paper: bool) -> str:
@@ -321,7 +312,7 @@ def report_files(study: Study) -> set[str]:
     labels = [file_label(label) for label in labels_of(study.technologies)]
     curves = (curve_file(name, study.paper) for name in FIGURE_NUMBERS)
     pictures = (f"pictures_{label}" for label in labels)
-    plates = {*curves, REGRETS, "metrics", NEQ, "other_statistics", "light_against_detail", *pictures}
+    plates = {*curves, REGRETS, "metrics", NEQ, "light_against_detail", *pictures}
     plates |= set(PAPER_PLATES) if study.paper else set()
     plates |= {NAME} if study.noise_budget else set()
     sheets = (f"figures/contact_sheet_{label}.png" for label in labels)
@@ -334,7 +325,13 @@ def study_document(result: StudyResult, warned: Collection[str] = ()) -> Documen
     warned : notes that a reader of the terminal has seen
     """
     film = [Fact(film_words(result.film.as_dict()))] if result.film else []
-    return document_of(result, study_data(result), [], film, warned)
+    content = {
+        "film": result.film and result.film.as_dict(),
+        "window_mm": result.study.window_mm,
+        "white_spectrum": white_light(result.irradiance)[1],
+        "irradiance": result.irradiance.header,
+    }
+    return document_of(result, study_data(result, content), [], film, warned)
 
 
 def document_of(
@@ -346,42 +343,41 @@ def document_of(
     facts : further ones
     warned : notes that a reader of the terminal has seen
     """
-    optima = (optimum_answer(curve) for curve in result.curves if not curve.alone)
     first = result.curves[0].metric.name
-    by_first_metric = [found for found in regrets if found.criteria[0].metric.name == first]
-    answers = [*map(weighted_answer, by_first_metric), *optima]
+    weighted = [weighted_answer(of_metric) for of_metric in regrets if of_metric.criteria[0].metric.name == first]
+    answers = [*weighted, *(optimum_answer(curve) for curve in result.curves if not curve.alone)]
     left = len(answers) - ANSWERS_SHOWN
     more = [Fact(f"and {left} more: optima.csv")] if left > 0 else []
-    lead = [*more, *study_facts(result), *facts, *uncertainty_blocks(result.uncertainty)]
-    known = {*warned, *(line for block in lead for line in lines(block))}
-    title = result.study.title or result.study.name
-    evaluations = sum(int(curve.sensors.sum()) for curve in result.curves)
-    made = f"{title}: {result.study.scene.file}, {evaluations} evaluations, seed {result.study.seed}"
-    plot = Plot(lambda: delta_e_against_pitch(result.curves))
+    notes = [note for note in study_notes(result) if note not in warned]
     return Document(
         command="study",
         kind="study of pixel sizes",
-        title=title,
-        cell=(*answers[:ANSWERS_SHOWN], plot, optima_table(result.curves), made),
-        data=data | ({"uncertainty": [each.as_dict() for each in result.uncertainty]} if result.uncertainty else {}),
+        title=result.study.title or result.study.name,
+        data=data,
         answers=answers[:ANSWERS_SHOWN],
-        lead=(*lead, *(note for note in study_notes(result) if note not in known)),
-        sections=[],
+        lead=(
+            Plot(lambda: delta_e_against_pitch(result.curves)),
+            *(*more, *study_facts(result), *facts, *uncertainty_blocks(result.uncertainty), *notes),
+        ),
     )
 
 
-def study_data(result: StudyResult) -> dict[str, Any]:
-    """Return a study without axes and conditions as in summary.json."""
-    entries = {"film": result.film and result.film.as_dict(), "chosen": result.view, "window_mm": result.study.window_mm}
+def study_data(result: StudyResult, content: Mapping[str, Any], **shared: Any) -> dict[str, Any]:
+    """Return a study as in summary.json.
+
+    content : further entries, of which empty ones are left out
+    shared : further entries that the JSON of all commands has
+    """
     settings = result.study.model_dump(mode="json")
-    content = {name: value for name, value in entries.items() if value} | {
+    uncertainty = [unknown.as_dict() for unknown in result.uncertainty]
+    further = {"chosen": result.view, **content, "uncertainty": uncertainty}
+    entries = {
         "study": settings,
-        "white_spectrum": white_light(result.irradiance)[1],
-        "irradiance": result.irradiance.header,
-        "curves": [curve_data(curve) | {"dark": result.dark(curve)} for curve in result.curves],
+        "curves": [curve_data(curve) | {"dark": result.part_of(curve).dark(curve)} for curve in result.curves],
+        **{name: value for name, value in further.items() if value},
     }
     optima = [optimum for curve in result.curves for optimum in optima_data(curve)]
-    return result_data(content, settings=settings, notes=study_notes(result), table=ROWS_FILE, optima=optima)
+    return result_data(entries, settings=settings, notes=study_notes(result), table=ROWS_FILE, optima=optima, **shared)
 
 
 ABOUT = (
@@ -394,43 +390,51 @@ PAPER = 'Chen, Catrysse, El Gamal and Wandell, "How small should pixel size be?"
 
 
 def study_page(
-    result: StudyResult,
-    seconds: dict[str, float],
-    workers: Workers,
-    figures: Figures = "svg",
-    budgets: Mapping[str, NoiseBudget] = NO_BUDGETS,
+    result: StudyResult, workers: Workers, drawing: StudyDrawing, budgets: Mapping[str, NoiseBudget] = NO_BUDGETS
 ) -> Document:
     """Return the document of a study without axes, or of one of the cases of another, with its page.
 
-    figures : "pdf" draws a PDF beside each SVG
     budgets : of `noise_budgets`
     """
-    drawings = study_figures(result, workers, figures)
-    first, *curves = map(plot_of, drawings.curves)
-    brief, rows = study_document(result), drawings.statements
-    numbers = [numbers_table(curve) for curve in result.curves]
+    by_name = {curve.technology: curve for curve in result.curves}
+    reference, paper = by_name.get(REFERENCE_TECHNOLOGY, result.curves[0]), result.study.paper
+    begun = drawing.has_begun_sizes()
+    first, *curves = [drawing.plot(draw) for draw in curve_figures(result, reference)]
+    limits = drawing.plot(light_against_detail, result, reference)
+    scene = drawing.scene or [drawing.plot(draw, result) for draw in SCENE_FIGURES if paper]
+    if workers.jobs == 1:  # nothing else computes meanwhile
+        drawing.wait()
+
+    sizes_um = FIGURE_6_PITCHES_UM if paper and not begun else ()
+    views, best, sizes = pictures_of_workers(result, workers, sizes_um)
+    judged = [curve for curve in result.curves if curve.has_delta_e]
+    maps = [drawing.plot(pictures_plate, result, curve, part) for curve, part in zip(judged, best, strict=True)]
+    evidence = Evidence(result, by_name, drawing.sizes.result() if begun and drawing.sizes else sizes)
+    rows = findings(evidence) if paper else []
+    further = drawing.maps if begun else [drawing.plot(draw, evidence) for draw in MAP_FIGURES if paper]
+
+    brief = study_document(result)
     unstated = [UNSTATED] if all(curve.data_sheet for curve in result.curves) else []
-    made = [*_about(result), _rendered(result), made_with(pairs("seconds", seconds, 2))]
+    made = [*_about(result), _rendered(result)]
     return replace(
         brief,
         answers=tuple(brief.answers)[:ANSWERS_OF_PAGE],
-        data=study_data(result) | ({"paper": [asdict(row) for row in rows]} if rows else {}),
-        lead=(first, *brief.lead),
+        data={**brief.data, **({"paper": [asdict(row) for row in rows]} if rows else {})},
+        lead=(first, *tuple(brief.lead)[1:]),
         sections=(
             Section("optima", "Optima", [optima_table(result.curves)] if len(result.curves) > 1 else ()),
-            Section("see", "Pictures", _pictures(result, drawings.views)),
+            Section("see", "Pictures", _pictures(result, views)),
             Section("paper", "Statements of the paper", _paper(rows)),
             Section("curves", "Further curves", curves),
             budgets_section(budgets),
-            Section("limits", "What limits these pixels", [limits_table(result), *map(plot_of, drawings.limits)]),
+            Section("limits", "What limits these pixels", [limits]),
             Section("settings", "Settings", [*settings_blocks(settings(result)), *unstated]),
-            *_technologies(result),
-            Section("numbers", "Numbers", numbers, folded=True),
-            Section("maps", "Whole pictures and maps", map(plot_of, drawings.maps), folded=True),
-            Section("figures", "The paper's other figures", map(plot_of, drawings.paper), folded=True),
+            Section("technologies", "Numbers of the technologies", technology_tables(result), folded=True),
+            Section("maps", "Whole pictures and maps", maps, folded=True),
+            Section("figures", "The paper's other figures", [*scene, *further], folded=True),
             Section("made", "How this was computed", made, folded=True),
         ),
-        files={f"figures/contact_sheet_{view.file_label}.png": view.sheet for view in drawings.views},
+        files={f"figures/contact_sheet_{view.file_label}.png": view.sheet for view in views},
     )
 
 
@@ -451,32 +455,14 @@ def _about(result: StudyResult) -> Iterator[Block]:
 def _pictures(result: StudyResult, views: Sequence[Views]) -> Iterator[Block]:
     """Yield the pictures of each technology."""
     study = result.study
-    if views:
-        yield f"Mean ΔE is that of the whole picture over all sensors. {size_words(1, study.display.samples_per_deg)}"
     for number, view in enumerate(views, 1):
         of, label = f"detail in {view.label}", capital(view.label)
-        across, down = (f"{100 * share:.0f} %" for share in view.place)
-        place = f"Its centre is at {across} of the picture's width and {down} of its height."
-        yield Section("", f"{label}: the same detail for every pixel size", [place, Tiles(view.tiles, of)])
+        yield Section("", f"{label}: the same detail for every pixel size", [Tiles(view.tiles, of)])
         errors = Pictures(view.crops, of), DeltaEScale(scale(map_end(result)))
         yield Section("", f"{label}: errors in that detail", errors, together=True)
         slider = Slider(f"slider-{number}", "Pixel size to compare with the ideal image:", view.ideal, view.outputs)
-        smaller = size_words(view.factor, study.display.samples_per_deg) if view.factor > 1 else ""
-        yield Section("", f"{label}: whole pictures and the ideal image", [smaller, slider], together=True)
-
-
-def limits_table(result: StudyResult) -> DocumentTable:
-    """Return the contrast that each blur leaves at the optimum of each curve, at a frequency of fine detail."""
-    rows: list[dict[str, str]] = []
-    for curve in result.curves:
-        imaging = imaging_of(result.study, result.camera, curve.technology, curve.optimum.pitch_um)
-        path_um = longest_path_um(result, curve, curve.optimum.pitch_um)
-        frequency_lp_per_mm, _, sensor_terms, display_terms = detail_terms(imaging, result.irradiance, path_um)
-        row = {"pixel": f"{curve.label}, {curve.optimum.pitch_um:.2f} µm", "at (lp/mm)": f"{frequency_lp_per_mm:.3g}"}
-        rows.append(row | {term: f"{mtf:.3f}" for term, mtf in (sensor_terms | display_terms).items()})
-    head = list(dict.fromkeys(name for row in rows for name in row))
-    cells = [tuple(row.get(name, "–") for name in head) for row in rows]
-    return DocumentTable("MTF of each blur", head, cells, "MTF of each blur at the optimum")
+        size = size_words(view.factor, study.display.samples_per_deg)
+        yield Section("", f"{label}: whole pictures and the ideal image", [size, slider], together=True)
 
 
 def _paper(rows: Sequence[Finding]) -> list[Block]:
@@ -491,14 +477,14 @@ def agrees(whether: bool) -> tuple[VerdictText]:
     return (VerdictText("yes" if whether else "does not agree", whether),)
 
 
-def _technologies(result: StudyResult) -> Iterator[Section]:
-    """Yield the numbers of the technologies of the curves."""
-    head = "number", "value", "plausible range", "source"
+def technology_tables(result: StudyResult) -> list[DocumentTable]:
+    """Return the numbers of the technologies of the curves, whose sources stand in their files."""
+    tables = []
     for curve in result.curves:
         if not curve.data_sheet:
-            name, rows = technology_rows(result, curve.technology)
-            table = DocumentTable(f"technology {name}", head, rows, words=None)
-            yield Section("", f"Numbers of the technology {name}", [table], folded=True)
+            process = result.processes[curve.technology]
+            tables.append(pairs(process.name, {name: (process.content | process.numbers)[name] for name in process.sources}))
+    return tables
 
 
 def _rendered(result: StudyResult) -> str:
@@ -522,15 +508,4 @@ def settings(result: StudyResult) -> list[DocumentTable]:
             for curve in result.curves
             if (sensor := study.sensors.get(curve.technology))
         ),
-    ]
-
-
-def technology_rows(result: StudyResult, technology: str) -> tuple[str, list[tuple[str, ...]]]:
-    """Return a process's name, and the name, value, plausible range and source of each of its numbers."""
-    process = result.processes[technology]
-    values = process.content | process.numbers
-    kinds = {name: f" ({distribution}, 90 %)" for name, distribution in process.distributions.items() if distribution != "uniform"}
-    ranges = {name: f"{low:g} to {high:g}{kinds.get(name, '')}" for name, (low, high) in process.ranges.items()}
-    return process.name, [
-        (name, str(values.get(name, "")), ranges.get(name, ""), source) for name, source in process.sources.items()
     ]

@@ -59,9 +59,6 @@ def uncertainty_document(result: StudyResult) -> Document:
 def _blocks(result: UncertaintyResult, number: int) -> list[Block]:
     """Return the figure and the tables of one optimum."""
     blocks: list[Block] = [Plot(lambda: distribution_plate(result).named(f"uncertainty_distribution_{number}"))]
-    if result.verdicts:
-        rows = [(name, str(probability)) for name, probability in result.verdicts.items()]
-        blocks.append(DocumentTable("probabilities", ("statement", "probability that it holds (95 % interval)"), rows, words=None))
     blocks += [SHARES, shares_table(result)]
     return [*blocks, (Link("All sensor types (CSV)", f"sensor_types_{number}.csv"),)]
 
@@ -146,8 +143,7 @@ def input_labels(sample: Sample) -> dict[str, str]:
     """Return the groups' names for readers: a technology by its label, not the path of its file, where that is unique."""
     labels = {}
     for name, columns in groups_of(sample.inputs).items():
-        unknown = list(sample.inputs.values())[columns[0]][0]
-        has_technology = unknown.technology and name.startswith(f"{unknown.technology} ")
-        labels[name] = f"{label_of(unknown.technology)}{name.removeprefix(unknown.technology)}" if has_technology else name
+        technology = list(sample.inputs.values())[columns[0]][0].technology
+        labels[name] = name.replace(technology, label_of(technology), 1) if technology else name
     texts = list(labels.values())
     return {name: label if texts.count(label) == 1 else name for name, label in labels.items()}

@@ -34,13 +34,12 @@ from pixsim.show.pictures import (
     window_at,
     worst_window,
 )
+from pixsim.studies.claims import SizeMaps
 from pixsim.studies.curve import Curve
 from pixsim.studies.result import StudyResult
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from pixsim.viewer.score import FrameScore
 
 
 # Layout of four pictures and a colour bar with its labels.
@@ -55,10 +54,15 @@ LEAST = "least error tried"  # "best" is the optimum, which may lie between the 
     "The ideal image, the picture of one sensor, its ΔE map, and curves of equal ΔE of the smoothed mean map of several sensors, "
     "which is in the table.",
 )
-def study_pictures(result: StudyResult, curve: Curve, score: FrameScore, mean: Array, sensors: int) -> Drawing:
-    """Show the ideal image, the image of one sensor, its ΔE map, and curves of equal ΔE of the mean map of several sensors."""
+def study_pictures(result: StudyResult, label: str, maps: SizeMaps, end: float) -> Drawing:
+    """Show the ideal image, the image of one sensor, its ΔE map, and curves of equal ΔE of the mean map of several sensors.
+
+    label : of the technology
+    end : of the colour scale of the ΔE map
+    """
+    score = maps.score
     pitch_um = score.physics.pitch_um
-    smooth = scipy.ndimage.gaussian_filter(mean, ISO_SMOOTHING_DOTS, mode="nearest")
+    smooth = scipy.ndimage.gaussian_filter(maps.mean, ISO_SMOOTHING_DOTS, mode="nearest")
     figure = new_figure(8.6, 7.6)
     figure.set_layout_engine(None)  # fixed margins: the automatic layout takes a fifth of the drawing time
     grid = figure.add_gridspec(2, len(WIDTHS), width_ratios=WIDTHS, **MARGINS)
@@ -66,16 +70,16 @@ def study_pictures(result: StudyResult, curve: Curve, score: FrameScore, mean: A
     where = picture_axes(result.irradiance, score.border_um)
     ideal.set_title("ideal image")
     draw_picture(ideal, score.ideal, where)
-    image.set_title(literal(f"{curve.label}: image from {pixel_size(pitch_um)} pixels"))
+    image.set_title(literal(f"{label}: image from {pixel_size(pitch_um)} pixels"))
     draw_picture(image, score.image, where)
     map_.set_title(f"ΔE map, mean {estimate(score.mean_delta_e)}")
-    draw_delta_e(map_, figure.add_subplot(grid[1, 1]), score.delta_e, where, map_end(result))
-    iso.set_title(f"curves of equal ΔE, mean of {sensors} sensors")
+    draw_delta_e(map_, figure.add_subplot(grid[1, 1]), score.delta_e, where, end)
+    iso.set_title(f"curves of equal ΔE, mean of {maps.sensors} sensors")
     level = result.study.iso_delta_e
     levels = [level / 3, 2 * level / 3, level, 5 * level / 3]
     lines = [(value, look, 2.2 if value == level else 1, f"ΔE = {value:g}") for value, look in zip(levels, LOOKS, strict=False)]
     draw_iso(iso, where, smooth, lines)
-    return figure, coarse_table(mean, "delta_e")
+    return figure, coarse_table(maps.mean, "delta_e")
 
 
 def draw_iso(
@@ -105,7 +109,6 @@ def draw_iso(
 class Views:
     """Pictures of one technology.
 
-    place : centre of the detail, (across, down), as fractions of the picture
     tiles : the detail of the ideal image, then of every pitch
     crops : for some pitches, the detail of the ideal image, of the output and of its ΔE map
     ideal, outputs : whole pictures
@@ -115,7 +118,6 @@ class Views:
 
     label: str
     file_label: str
-    place: tuple[float, float]
     tiles: tuple[Picture, ...]
     crops: tuple[tuple[Picture, ...], ...]
     ideal: Picture
@@ -135,16 +137,10 @@ def map_end(result: StudyResult) -> float:
     return scale_end(float(max(shown)))
 
 
-def study_views(result: StudyResult, curve: Curve, best: FrameScore) -> Views:
-    """Return whole pictures of the smallest, best and largest pixels, and a detail from every pitch.
-
-    best : score of the first sensor at `best_place`
-    """
+def study_views(result: StudyResult, curve: Curve) -> Views:
+    """Return whole pictures of the smallest, best and largest pixels, and a detail from every pitch."""
     at, last, end = best_place(curve), curve.pitch_um.size - 1, map_end(result)
-    scores = {at: best}
-    for place in {0, last} - {at}:
-        scores[place] = result.shown_scores(curve.technology, float(curve.pitch_um[place]), 1)[0]
-    scores = dict(sorted(scores.items()))
+    scores = {place: result.shown_scores(curve.technology, float(curve.pitch_um[place]), 1)[0] for place in sorted({0, at, last})}
 
     ideal = max((score.ideal for score in scores.values()), key=np.size)
     rows, columns = ideal.shape[:2]
@@ -163,7 +159,6 @@ def study_views(result: StudyResult, curve: Curve, best: FrameScore) -> Views:
     return Views(
         label=curve.label,
         file_label=curve.file_label,
-        place=window.centre,
         tiles=tuple(tiles),
         crops=tuple(crops(score, window, rank(curve, place), end) for place, score in scores.items()),
         ideal=whole_picture(ideal, "ideal image"),

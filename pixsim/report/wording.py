@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pixsim.base.caller import setting
-from pixsim.base.digits import estimate, f_stop, interval, pixel_size
+from pixsim.base.digits import f_stop, interval, pixel_size, within_error
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.optics.camera import Camera
 from pixsim.report.score import unmet
@@ -43,8 +43,9 @@ def weighted_answer(regrets: Regrets) -> Answer:
     if weighted is None:
         return Answer(f"{regrets.label}: the conditions share too few pixel sizes for one that suits all")
     best, metric = weighted.optimum, weighted.metric
+    low, high = best.value_interval
+    value = f"{within_error(best.value, (high - low) / 2)} {metric.unit}".rstrip()
     first, _, words = metric.best.partition(" ")
-    value = estimate(best.value) if metric.is_delta_e else metric.shown(best.value)
     label = f"{regrets.label}: {first} weighted {words} {value} at "
     return Answer((label, Strong(pixel_size(best.pitch_um)), f" (95 %: {interval(best.interval_um)})"))
 

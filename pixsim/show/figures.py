@@ -11,7 +11,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import cache
-from threading import Thread
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -19,7 +18,6 @@ import numpy as np
 from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.base.lazy import RC_FILE, leave_out_docstrings_of_matplotlib
-from pixsim.base.progress import Progress, Stage
 from pixsim.base.shared_block import SharedBlock
 from pixsim.show.pictures import VIEWING_GAMMA, PictureAxes
 
@@ -130,24 +128,6 @@ def prepare_to_draw() -> None:
     figure = new_figure(1.0, 1.0)
     figure.subplots().set(xlabel="x", ylabel="y", title="title")
     svg_text(figure)
-
-
-def ready_to_draw(stage: Stage) -> Stage:
-    """Return a `Stage` that starts `prepare_to_draw`, in a thread, as soon as workers have made the first evaluations."""
-    started: list[Thread] = []
-
-    def begin(name: str) -> Progress:
-        report = stage(name)
-
-        def progress(*done: Any) -> None:
-            if not started:
-                started.append(Thread(target=prepare_to_draw, name="pixsim figures"))
-                started[0].start()
-            report(*done)
-
-        return progress if name == "evaluate" else report
-
-    return begin
 
 
 @contextmanager

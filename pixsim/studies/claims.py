@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from pixsim.base.arrays import Array
 from pixsim.base.digits import interval, percent
 from pixsim.scene.charts import csf_contrast, csf_frequency_lp_per_mm, csf_frequency_on_sensor
-from pixsim.sensor.integration import pixels_on
 from pixsim.sensor.pixel import derive, fill_factor_law
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
@@ -28,6 +27,7 @@ from pixsim.viewer.display import picture_size_um
 if TYPE_CHECKING:
     from pixsim.studies.curve import Curve
     from pixsim.studies.result import CasesResult, StudyResult
+    from pixsim.viewer.score import FrameScore
 
 # Figure 2 of Chen, Catrysse, El Gamal and Wandell (2000).
 FIGURE_2_INTEGRATION_S = 0.030
@@ -50,11 +50,6 @@ def dr_and_snr_db(pitch_um: Array, capacitance: str, technology: Technology | No
 def growth_exponent(pitch_um: Array, level_db: Array) -> float:
     """Return b in ratio ∝ pitch^b, by least squares in logarithms."""
     return float(np.polynomial.Polynomial.fit(np.log(pitch_um), level_db / 20 * np.log(10), 1).convert().coef[1])
-
-
-def pixels_on_die(result: StudyResult, pitch_um: float) -> tuple[int, int]:
-    """Return the rows and columns of pixels of a size on the study's die, as in Figure 3."""
-    return pixels_on(result.camera.die_um, pitch_um)
 
 
 # Stated in the paper: section 4, Figures 2 and 6, abstract.
@@ -85,25 +80,27 @@ class Finding:
 
 
 class SizeMaps(NamedTuple):
-    """ΔE maps of the first `SENSORS` sensors of a pixel size.
+    """ΔE maps of the first sensors of a pixel size.
 
     mean : (H, W), over the sensors
-    first : (H, W), of the first sensor
+    score : of the first sensor
+    sensors : number of them
     border : fractions of the chart's height and width that the maps omit on each side
     """
 
     mean: Array
-    first: Array
+    score: FrameScore
+    sensors: int
     border: tuple[float, float]
 
 
-def size_maps(result: StudyResult, pitch_um: float) -> SizeMaps:
-    """Return the ΔE maps of a pixel size in the reference technology."""
+def size_maps(result: StudyResult, pitch_um: float, technology: str = REFERENCE_TECHNOLOGY, sensors: int = SENSORS) -> SizeMaps:
+    """Return the ΔE maps of the first sensors of a pixel size."""
     height_um, width_um = picture_size_um(result.irradiance)
-    scores = result.shown_scores(REFERENCE_TECHNOLOGY, pitch_um, SENSORS)
+    scores = result.shown_scores(technology, pitch_um, sensors)
     down_um, across_um = scores[0].border_um
     mean = np.mean([score.delta_e for score in scores], axis=0)
-    return SizeMaps(mean, scores[0].delta_e, (down_um / height_um, across_um / width_um))
+    return SizeMaps(mean, scores[0], sensors, (down_um / height_um, across_um / width_um))
 
 
 @dataclass(frozen=True)
@@ -319,7 +316,7 @@ def _iso_rows(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _map_rows(evidence: Evidence) -> Iterator[Finding]:
-    count = modes(evidence.sizes[8.0].first)
+    count = modes(evidence.sizes[8.0].score.delta_e)
     result = f"{count} mode{'s' if count != 1 else ''}"
     yield Finding("Distribution of ΔE (8 µm)", "compact, unimodal", result, count == 1)
     places, contrast, table = frequency_contrast_table(evidence.maps[8.0], evidence.border(8.0))

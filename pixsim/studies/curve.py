@@ -110,7 +110,6 @@ class Curve(Result):
     fresnel_number : (pitches,) of microlenses, below 1 where the model of their diffraction is doubtful; None without microlenses
     missing : (name of a metric, pitch in µm, reason) where a metric has no number; without a name, the pitch is left out
     on_displays : optima with half and with twice the display's dots, of a data sheet's sensor
-    from_smallest : whether the sizes begin with the smallest of the process, by its least fill factor
     """
 
     technology: str
@@ -127,7 +126,6 @@ class Curve(Result):
     fresnel_number: Array | None = field(default=None, repr=False)
     missing: tuple[tuple[str, float, str], ...] = field(default=(), repr=False)
     on_displays: tuple[DisplayOptimum, ...] = field(default=(), repr=False)
-    from_smallest: bool = False
 
     def __post_init__(self) -> None:
         if not self.label:
@@ -393,7 +391,6 @@ def curve_of(
         fits={name: fitted for name, fitted in fits.items() if fitted is not None},
         case=CaseLabels(developed=developed_words(study.develop, [study.options_of(technology)])),
         missing=tuple(missing),
-        from_smallest=study.pitch.values_um is None and study.open_range_um[0] is None,
     )
 
 

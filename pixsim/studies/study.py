@@ -129,8 +129,11 @@ def evaluate_cases(
     results: Path,
     workers: Workers,
     progress: Callable[[], Progress | None],
+    begun: Callable[[StudyResult], None] | None = None,
 ) -> tuple[list[StudyResult | str], Counts, Table]:
     """Evaluate missing rows of results.csv, add pitches and sensors until the target interval is met, and fit the optima.
+
+    begun : called once with a study of one case in its light, without curves, when workers have made its first evaluations
 
     Returns the result of each combination, or the reason why too few of its pixel sizes are possible, how much was computed,
     and the table of all points.
@@ -146,8 +149,20 @@ def evaluate_cases(
         groups.setdefault(case.group, []).append(number)
     rounds, counts = Rounds(lit, len(groups) <= FEW_CASES), Counts(0, 0, 0)
     has_target = any(case.settings.target_ci_um is not None for case in cases)
+    awaits = [begun] if begun is not None and len(groups) == 1 and workers.jobs > 1 else []
+
+    def reports() -> Progress:
+        report = progress() or no_stage("")
+
+        def evaluated(share: float) -> None:
+            if awaits:
+                awaits.pop()(StudyResult(cases[0].settings, (), lights[0], view=dict(view), lit=tuple(lit)))
+            report(share)
+
+        return evaluated
+
     table = evaluate_points(
-        lit, results, workers, progress, more=rounds.more, known=rounds.curve, counts=counts, in_parts=has_target
+        lit, results, workers, reports, more=rounds.more, known=rounds.curve, counts=counts, in_parts=has_target
     )
 
     tables = table.by_case()
@@ -450,9 +465,11 @@ def run_prepared(
     agreed: bool = False,
     spreads: Uncertainty | None = None,
     asked: Asked | None = None,
+    begun: Callable[[StudyResult], None] | None = None,
 ) -> StudyResult:
     """Run a prepared study; the other arguments are those of `study`.
 
+    begun : that of `evaluate_cases`
     spreads : [pixel.uncertainty] of the study and its data sheets, as its files state it
     asked : about its unknown numbers
     """
@@ -473,7 +490,7 @@ def run_prepared(
         if lit := [(case, light) for case, light in zip(job.cases, lights, strict=True) if isinstance(light, Light)]:
             cases = on_their_films(lit)
             made, counts, table = evaluate_cases(
-                cases, [light for _, light in lit], job.view, folder / "results.csv", workers, lambda: stage("evaluate")
+                cases, [light for _, light in lit], job.view, folder / "results.csv", workers, lambda: stage("evaluate"), begun
             )
             reasons += [reason for reason in made if isinstance(reason, str)]
             found = [part for part in made if isinstance(part, StudyResult)]

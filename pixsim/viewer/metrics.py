@@ -10,7 +10,6 @@ from typing import Any, Literal
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.digits import estimate
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.user_code import by_value, code_hash
 from pixsim.viewer.delta_e_statistics import COLUMNS, delta_e_statistics
@@ -91,10 +90,6 @@ class Metric:
     def best(self) -> str:
         """Its best value, in words."""
         return f"{'least' if self.better == 'less' else 'greatest'} {self.words}"
-
-    def shown(self, value: float) -> str:
-        """Return a value as text, with the unit."""
-        return f"{estimate(value)} {'ΔE' if self.is_delta_e else self.unit}".rstrip()
 
     def worse_by(self, values: Array | float, best: Array | float) -> Array:
         """Return by how much values are worse than a best one, in the metric's unit, (...)."""

@@ -9,11 +9,20 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from pixsim.report.axes import turned_words
 from pixsim.studies.claims import REFERENCE_TECHNOLOGY
+
+
+def turned_words(cases: Iterable[dict[str, Any]]) -> str:
+    """Return cases as text, the values of each axis that is moved alone together: bits (8, 12); f/8 (night)."""
+    groups: dict[str, list[str]] = {}
+    for case in cases:
+        value = case["at"][case["alone"]]
+        groups.setdefault(case["alone"], []).append(value if isinstance(value, str) else f"{value:.4g}")
+    return "; ".join(f"{axis} ({', '.join(values)})" for axis, values in groups.items())
 
 
 def claims_table(rows: list[dict[str, Any]], cases: list[dict[str, Any]]) -> list[str]:
@@ -25,7 +34,7 @@ def claims_table(rows: list[dict[str, Any]], cases: list[dict[str, Any]]) -> lis
         cells = [row["statement"], row["given"], row["found"], verdict]
         if cases:
             turning = [case for case in cases[1:] if case["agrees"].get(row["statement"], row["agrees"]) != row["agrees"]]
-            words = turned_words([(case["alone"], case["at"][case["alone"]], "") for case in turning])
+            words = turned_words(turning)
             cells.append(f"{len(turning)} of {len(cases) - 1}" + (f": {words}" if turning else ""))
         lines.append(f"| {' | '.join(cells)} |")
     return lines

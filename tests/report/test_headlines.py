@@ -59,13 +59,13 @@ def curves() -> Iterator[Any]:
     chosen = product(intervals, (True, False), (None, (1.25, 12.74), (0.47, 15.0)), (False, True), FILMS, NOISES, NAMED)
     for interval, inside, alike, swings, film, header, causes in chosen:
         within = {"within_1_percent_um": (None, None), "within_2_percent_um": (None, None)}
-        value = {"mean_delta_e": 76.5, "mean_delta_e_interval": (75.2, 77.8)}
+        value = {"mean_delta_e": 76.5, "mean_delta_e_interval": (75.2, 77.8), "value": 76.5, "value_interval": (75.2, 77.8)}
         best = SimpleNamespace(pitch_um=7.5, inside=inside, interval_um=interval, **value, **within)
         other = SimpleNamespace(dots=1024, optimum=best)
         light, limit = light_error_and_limit(header, film)
         yield SimpleNamespace(
             label="data sheet", optimum=best, pitch_um=pitch_um, errors=CurveErrors(light, limit, causes), fit_swings=swings,
-            no_difference_um=alike, mean=lambda: np.full(8, 76.5), from_smallest=True, on_displays=[other, other],
+            no_difference_um=alike, mean=lambda: np.full(8, 76.5), on_displays=[other, other],
             fit=SimpleNamespace(delta_e=np.full(8, 77.0)), judged_by_delta_e=True, metrics=(DELTA_E,),
             fitted_range_um=(0.47, 15.0), case=CaseLabels(),
         )  # fmt: skip
@@ -124,11 +124,11 @@ def test_headlines_of_studies_are_short() -> None:
 
 def test_headlines_of_weighted_means_are_short() -> None:
     for interval in ((2.3, 2.9), (None, 2.9), (2.3, None), (None, None)):
-        best = SimpleNamespace(value=0.615, pitch_um=2.45, interval_um=interval)
+        best = SimpleNamespace(value=0.615, value_interval=(0.613, 0.617), pitch_um=2.45, interval_um=interval)
         weighted = SimpleNamespace(optimum=best, metric=DELTA_E, weight=None)
         answer = weighted_answer(SimpleNamespace(label="data sheet", criteria=(weighted,)))  # type: ignore[arg-type]
         assert len(plain_text(answer.head).split()) <= MOST_WORDS
-        assert str(plain_text(answer.head)).startswith("data sheet: least weighted mean ΔE 0.615 at 2.45 µm")
+        assert str(plain_text(answer.head)).startswith("data sheet: least weighted mean ΔE 0.6150 at 2.45 µm")
 
 
 @pytest.mark.parametrize("share_at_ends", [0.0, 0.123])

@@ -16,7 +16,7 @@ from helpers.tiny import tiny
 
 import pixsim
 from pixsim.report import maps
-from pixsim.report.axes import alone_words
+from pixsim.report.axes import alone_table
 from pixsim.show.figures import new_figure, own_style
 from pixsim.show.pages import Plate
 from pixsim.studies.curve import CaseLabels, Curve
@@ -441,13 +441,12 @@ def test_alone_plate_bars_span_the_moves(tornado: Plate) -> None:
         )
 
 
-def test_words_of_axes_moved_alone_are_widest_first(moved: StudyResult) -> None:
-    form = r"(\w+), (read noise|prnu) alone: (\S+) to (\S+) µm, least mean ΔE 1\.000 to 1\.000"
-    found = [match.groups() for match in map(re.compile(form).fullmatch, alone_words(moved)) if match]
-    expected = [(condition, name) for condition in ("day", "night") for name in ("read noise", "prnu")]
-    assert [(condition, name) for condition, name, *_ in found] == expected
-    ends = [float(end) for *_, low, high in found for end in (low, high)]
-    assert ends == pytest.approx([4.5, 7.0, 4.95, 5.25, 5.85, 9.1, 6.435, 6.825], abs=0.02)
+def test_table_of_axes_moved_alone_has_the_widest_first(moved: StudyResult) -> None:
+    labels, sizes, values = zip(*alone_table(moved).rows, strict=True)
+    assert labels == ("night, read noise", "day, read noise", "night, prnu", "day, prnu")
+    ends_um = [float(end) for words in sizes for end in str(words).split(" to ")]
+    assert ends_um == pytest.approx([5.85, 9.1, 4.5, 7.0, 6.435, 6.825, 4.95, 5.25], abs=0.02)
+    assert set(values) == {"1"}
 
 
 def test_alone_axes_are_not_in_the_maps() -> None:

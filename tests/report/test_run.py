@@ -257,7 +257,7 @@ def test_run_of_no_or_too_many_frames_raises(frames, more, tmp_path, monkeypatch
         ("run {exr} --frames 2", "raw_002.exr"),
         ("run {exr}", "report.html"),
         ("run csf -D resolution=64", "score.json"),
-        ("study pixel-size --quick", "figures/other_statistics.svg"),
+        ("study pixel-size --quick", "figures/light_against_detail.svg"),
         ("study pixel-size --quick --pitch.count 5", "results.csv"),
         ("study pixel-size --quick --axis pixel.prnu=0.01,0.02", "figures/optimum_by_pixel.prnu.csv"),
         ("accuracy csf --quick", "ladder.csv"),

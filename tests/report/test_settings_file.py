@@ -17,8 +17,9 @@ from helpers.sheets import two_sheets
 from helpers.tiny import COARSE, rows, tiny_toml
 
 import pixsim
+from pixsim.base.digits import span
 from pixsim.base.toml import packaged
-from pixsim.report.axes import alone_words
+from pixsim.report.axes import alone_table
 from pixsim.report.study_facts import study_view_words
 from pixsim.scene.charts import siemens_star, write_chart
 from pixsim.scene.convergence import NO_TIME_LIMIT_S
@@ -175,8 +176,9 @@ def test_settings_of_study_with_layers_and_range_repeat_it(desk: Path, tmp_path:
     """Layers and ranges stand there as values, beside a condition."""
     axis = 'axis = [{ name = "dark", range_of = "dsnu", alone = true }]\n'
     result = study_of(desk, axis + DUSK, "tiny.toml", variant="scalar_spectral", parameters=None)
-    sizes, (words,) = [curve.optimum.pitch_um for curve in result.curves], alone_words(result)
-    assert words.startswith(f"dark alone: {min(sizes):.2f} to {max(sizes):.2f} µm")
+    sizes = [curve.optimum.pitch_um for curve in result.curves]
+    ((name, words, _),) = alone_table(result).rows
+    assert (name, words) == ("dark", span(min(sizes), max(sizes), ".2f"))
     assert_repeats(result, tmp_path / "again", "scalar_spectral")
 
 

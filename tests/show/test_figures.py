@@ -7,7 +7,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import combinations
 from pathlib import Path
@@ -137,27 +136,6 @@ def test_a_matplotlibrc_of_the_current_folder(what: str, who: str, tmp_path: Pat
     else:
         linewidth = 9.0 if (what, who) == ("a file", "library") else 1.5
         assert done.stdout == f"True {linewidth}\n", done.stderr
-
-
-def test_matplotlib_is_prepared_when_the_first_evaluations_are_made(monkeypatch: pytest.MonkeyPatch) -> None:
-    prepared: list[str] = []
-    seen: list[tuple[str, float]] = []
-    monkeypatch.setattr(figures, "prepare_to_draw", lambda: prepared.append("figures"))
-
-    def stage(name: str) -> Callable[..., None]:
-        return lambda done: seen.append((name, done))
-
-    ready = figures.ready_to_draw(stage)
-    ready("render")(1.0)
-    evaluate = ready("evaluate")
-    assert not prepared, "a study whose rows are all known may draw nothing"
-    evaluate(0.5)
-    evaluate(1.0)
-    for thread in threading.enumerate():
-        if thread.name == "pixsim figures":
-            thread.join()
-    assert prepared == ["figures"], "once"
-    assert seen == [("render", 1.0), ("evaluate", 0.5), ("evaluate", 1.0)], "progress is told as before"
 
 
 def test_figures_that_wait_are_given_up_when_a_block_fails() -> None:

@@ -111,7 +111,7 @@ def test_axes_and_conditions_vary_the_sensor_in_a_given_light(folder):
     means = {(float(curve.at["noise"]), curve.condition): curve.mean().mean() for curve in result.curves}
     assert means[0.0, "long"] < means[20000.0, "long"]
     assert means[0.0, "long"] < means[0.0, "short"]
-    page = html(axes_page(result, condition_regrets(result.study, result.curves), {}, []))
+    page = html(axes_page(result, condition_regrets(result.study, result.curves), []))
     assert "read from other.exr" in page
 
 

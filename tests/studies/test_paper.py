@@ -20,7 +20,6 @@ from pixsim.optics.camera import Camera, CameraOptions
 from pixsim.optics.camera_lens import LENS_HEADER, Tiling, camera_with_lens, without_lens
 from pixsim.optics.diffraction import diffraction_otf
 from pixsim.optics.lens_options import LensOptions
-from pixsim.report.study_facts import pairs_at_best_sizes
 from pixsim.scene.charts import DIE_MM, csf_contrast, csf_frequency_lp_per_mm
 from pixsim.sensor.diffusion import absorption_per_um, diffusion_mtf
 from pixsim.sensor.pixel import derive, fill_factor_law
@@ -557,13 +556,3 @@ def test_evidence_maps_are_mean_of_eight_sensors() -> None:
     result = lit(ONE_LINE, 10.0, np.ones(1), given=dict.fromkeys(THRESHOLDS, maps))
     assert all((item == 3.5).all() for item in Evidence(result, {}).maps.values())
     assert FIGURE_2_INTEGRATION_S == 0.030  # stated in the paper's Figure 2
-
-
-def test_study_of_several_sensors_says_which_is_better_at_its_best_size() -> None:
-    """Without scatter the line has the difference of the least mean ΔE; equal sensors are not told apart."""
-    worse, better = curve_of("0.35um", 6.5, 1.0), curve_of("0.18um", 4.0, 0.7)
-    (line,) = pairs_at_best_sizes([worse, better])
-    assert line.startswith("0.18um is better than 0.35um, each at its best size, by 0.3")
-    (line,) = pairs_at_best_sizes([worse, curve_of("0.25um", 5.0, 1.0)])
-    assert line.startswith("0.35um and 0.25um cannot be told apart at their best sizes: ")
-    assert pairs_at_best_sizes([worse]) == []

@@ -19,7 +19,7 @@ from helpers.tiny import COARSE, PITCHES_UM, rows, tiny, tiny_toml
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.base.schema import SCHEMA
-from pixsim.report.axes import cases_data, turned_words, verdict_words
+from pixsim.report.axes import cases_data, verdict_words
 from pixsim.sensor.technology import load_technology
 from pixsim.studies.claims import Evidence, findings, scaling_rows, verdicts
 from pixsim.studies.curve import CaseLabels, Curve
@@ -272,10 +272,9 @@ def test_verdicts_list_the_cases_that_turn_them() -> None:
     """At 8 µm, 22.9 features of 0.35 µm, the optimum no longer shrinks slower: 20.8 and 22.8 follow. At 12 µm neither."""
     found = {each.finding.statement: each for each in verdicts(synthetic())}
     words = {name: verdict_words(verdict) for name, verdict in found.items()}
-    assert words == {SHRINKS: "none", SLOWER: "narrow (e); wide (d)", WORSE: "none"}
+    assert words == {SHRINKS: "", SLOWER: "narrow: e; wide: d", WORSE: ""}
     assert found[SLOWER].finding.agrees
     assert found[SLOWER].as_dict()["turned_by"][1]["alone"] == "wide"
-    assert turned_words([("a", 1.0, ""), ("", "f/8", ""), ("a", "x", "day")]) == "a (1, x, day); f/8"
 
 
 def test_paper_table_of_synthetic_result() -> None:

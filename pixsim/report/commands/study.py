@@ -15,10 +15,9 @@ from pixsim.report.axes import axes_document, axes_files, study_report
 from pixsim.report.commands import DEFAULT_OUT
 from pixsim.report.kept import digest_of_report, keep_or_write
 from pixsim.report.outline import outline_document, study_outline
-from pixsim.report.study import report_files, study_document
+from pixsim.report.study import report_files, study_document, study_drawing
 from pixsim.report.uncertainty import uncertainty_files
 from pixsim.show.document import Document
-from pixsim.show.figures import ready_to_draw
 from pixsim.show.pages import Figures
 from pixsim.show.render import write
 from pixsim.studies.design import check_number
@@ -87,24 +86,25 @@ def study_files(
             say(f"{types} sensor types, at most {evaluations} evaluations")
             names = names | uncertainty_files()
         check_replaceable(folder, names)
-        with said_what_is_kept(folder):
+        with study_drawing(figures) as drawing, said_what_is_kept(folder):
             result = run_prepared(
                 job,
                 folder,
                 jobs=jobs,
                 scheduler=scheduler,
-                progress=ready_to_draw(progress),
+                progress=progress,
+                begun=drawing.begin,
                 agreed=agreed,
                 spreads=spreads,
                 asked=asked,
             )
             progress("report")
             first = result.cases[0]
-            drawing = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()
+            workers = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()
             regrets = condition_regrets(result.study, result.curves)
 
             def write_report() -> Path:
-                return write(study_report(result, regrets, seconds, drawing, figures), folder, {"seconds": seconds}, figures)
+                return write(study_report(result, regrets, workers, drawing), folder, {"seconds": seconds}, figures)
 
             page = keep_or_write("study", digest_of_report(result, figures), folder, write_report)
         warned = set(result.warned)  # they are on stderr
