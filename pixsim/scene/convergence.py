@@ -89,7 +89,7 @@ def render_until(
     pixels : the noise is compared with that of each pixel, and the worst counts
     render_noise : target, as a fraction of the sensor's temporal noise, RMS over pixels
     max_seconds : time limit of rendering, with a warning if it is reached; None limits the samples instead, to
-        `Plan.max_samples`, so that the result does not depend on the machine. What the limit finds unfinished is given up.
+        `Plan.most_samples`, so that the result does not depend on the machine. What the limit finds unfinished is given up.
     tolerance_delta_e : limit of `RenderNoise.delta_e`, in place of `render_noise`; None means none
     delta_e_between : returns the mean ΔE between noise-free pictures of two lights
     progress : called with the fraction done and the current noise
@@ -119,7 +119,7 @@ def render_until(
     limits = content_hash([sensed, exposure.model_dump(), render_noise, max_seconds, tolerance_delta_e])
     in_time = job.cache.runs_in_time(limits) if job.cache and max_seconds is not None else None
     samples_of_pair = PAIR * math.prod(job.size) * plan.light.passes  # for each sample per film cell
-    most = plan.max_samples / samples_of_pair  # per film cell
+    most = plan.most_samples / samples_of_pair  # per film cell
     share = _Share(progress, most if plan.many_bounces and max_seconds is None else UNKNOWN * plan.samples.spp, max_seconds)
     ended: EndedBy | None = None
     while ended is None:
@@ -234,7 +234,7 @@ def _limit_note(ended: EndedBy, plan: Plan, noise: RenderNoise, max_seconds: flo
     """
     limit_s = f"the time limit of {max_seconds or 0:g} s (--max-seconds)"
     causes = {
-        "samples": f"the render ended at its limit of {amount(plan.max_samples, 2)} samples",
+        "samples": f"the render ended at its limit of {amount(plan.most_samples, 2)} samples",
         "max_seconds": f"{limit_s} leaves no time for the next step of the render",
         "runs": f"the render ended at its limit of {noise.runs} renders",
     }
@@ -249,7 +249,7 @@ def _limit_note(ended: EndedBy, plan: Plan, noise: RenderNoise, max_seconds: flo
     return Note("render_noise", words=f"{causes[ended]}: {remains}. {hint}")
 
 
-SECONDS_OF_LIMIT = 30.0  # of `Plan.max_samples` on two cores
+SECONDS_OF_LIMIT = 30.0  # of `Plan.most_samples` on two cores
 
 
 def what_reaches(fraction: float, render_noise: float) -> tuple[float, float]:

@@ -236,7 +236,7 @@ class Plan:
     full: bool = False
 
     @property
-    def max_samples(self) -> int:
+    def most_samples(self) -> int:
         """Limit of the samples of all renders together, in place of a time limit: it does not depend on the machine."""
         return film.PATH_SAMPLES if self.film.chart is None else film.CHART_SAMPLES
 
@@ -247,12 +247,12 @@ class Plan:
 
     @property
     def cells_in_time(self) -> float:
-        """Number of film cells for which the fewest renders, two with the fewest samples, stay within `max_samples`."""
+        """Number of film cells for which the fewest renders, two with the fewest samples, stay within `most_samples`."""
         if self.samples.exact:
             return math.inf
         fewest = rules.FEWEST_OF_A_PATH if self.film.chart is None else rules.FEWEST_OF_A_CHART
         fewest = self.samples.spp if self.samples.given_spp else fewest
-        return self.max_samples / (fewest * self.light.passes * FEWEST_RENDERS)
+        return self.most_samples / (fewest * self.light.passes * FEWEST_RENDERS)
 
     @property
     def bound_e(self) -> float:
@@ -601,7 +601,7 @@ def decide_oversampling(
         return None, Decision(FILM, True, f"{_sampling(camera, physics, width)}; {words}")
     chosen = film.fitting_width(camera.height_mm / camera.die_mm, needed, most)
     pictures = f"{plan.light.planes} picture{'s' * (plan.light.planes > 1)}"
-    limits = f", the limit for {pictures} ({film.MAX_ACROSS} across, 2 GiB, {amount(plan.max_samples, 2)} rays)"
+    limits = f", the limit for {pictures} ({film.MAX_ACROSS} across, 2 GiB, {amount(plan.most_samples, 2)} rays)"
     limit = limits if needed > most else ""
     sampling = _sampling(camera, physics, chosen)
     return chosen, Decision(FILM, True, f"{sampling}, not {width} as in the scene: {words}{limit}")

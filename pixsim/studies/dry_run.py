@@ -70,7 +70,7 @@ def render_seconds(plan: Plan, shape: tuple[int, int], cores: int) -> float:
     cells = math.prod(shape)
     samples = 0.0 if plan.samples.exact else 2.0 * cells * plan.samples.spp * plan.light.passes
     if plan.many_bounces:
-        samples = max(samples, float(plan.max_samples))
+        samples = max(samples, float(plan.most_samples))
     of_cell_s = CELL_S if plan.film.tiling is None else LENS_CELL_S
     kernels_s = 0.0 if plan.samples.exact else KERNEL_S * len(plan.light.lamps)
     return kernels_s + samples * SAMPLE_S / cores + cells * of_cell_s
@@ -216,7 +216,7 @@ def planned_light(request: LightRequest) -> dict[str, Any]:
     """
     (height, width), plan, smallest, settings = request.shape, request.plan, request.measured[0], request.settings
     per_dot = samples_per_dot(width, smallest, plan.film.chart)
-    rays = plan.max_samples / math.prod(pixels_on(smallest.camera.die_um, smallest.pixel.pitch_um))
+    rays = plan.most_samples / math.prod(pixels_on(smallest.camera.die_um, smallest.pixel.pitch_um))
     pitch_um = 1e3 * request.camera.die_mm / width
     errors = {
         "film_share": film_error(0.0, 0.0, 1.0, per_dot),

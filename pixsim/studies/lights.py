@@ -265,7 +265,7 @@ def render_on_film(
     fixed : what sets the film, if it is not free
     coarser : times that the first film has fewer samples across than that of the plan
     max_seconds : of each render; a film that would take longer than what the earlier ones left of it is not tried. None means a
-        limit of the samples, `Plan.max_samples`.
+        limit of the samples, `Plan.most_samples`.
     """
     chosen = scene.with_resolution(plan.film.resolution) if plan.film.resolution else scene
     if coarser > 1:

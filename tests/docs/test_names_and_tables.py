@@ -14,7 +14,12 @@ from helpers.documents import ROOT
 import pixsim
 
 MIGRATION = "\n".join((ROOT / name).read_text(encoding="utf-8") for name in ("docs/migration.md", "CHANGELOG.md"))
-ROWS = re.findall(r"^\| `([\w.]+)` \| (?:`([\w.]+)`|none)(.*) \|$", MIGRATION.partition("## Files")[0], re.MULTILINE)
+PYTHON = MIGRATION.partition("## Files")[0]
+ROWS = re.findall(r"^\| `([\w.]+)` \| (?:`([\w.]+)`|none)(.*) \|$", PYTHON, re.MULTILINE)
+# Several names of a record that are in another one now.
+for names, record, more in re.findall(r"^\| `([\w.]+`(?:, `\.\w+`)+) \| in `([\w.]+)`(.*) \|$", PYTHON, re.MULTILINE):
+    place, _, _ = names.partition("`")[0].rpartition(".")
+    ROWS += [(f"{place}.{name}", f"{record}.{name}", more) for name in re.findall(r"\.(\w+)`", names)]
 
 
 def found(name: str) -> bool:
