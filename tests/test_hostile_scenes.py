@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import re
 import shutil
 import signal
 import struct
@@ -27,17 +28,19 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 import pixsim
 from pixsim.base.errors import PixsimError
+from pixsim.base.machine import memory
 from pixsim.scene.contents import asset_files
 from pixsim.scene.guard import child, inspector
 from pixsim.scene.guard.assets import metals
 from pixsim.scene.guard.child import ChildTracer, end_child
 from pixsim.scene.guard.inspector import open_scene
-from pixsim.scene.guard.loaded import check_files
+from pixsim.scene.guard.loaded import BYTES_PER_BYTE, LEAST_BYTES, check_files
 from pixsim.scene.guard.own_tracer import OwnTracer
 from pixsim.scene.guard.plugins import PLUGINS
 from pixsim.scene.job import OutOfTimeError, TraceJob
 from pixsim.scene.mitsuba import parse, speaking_mitsuba
 from pixsim.scene.packaged import packaged_scenes
+from pixsim.scene.plan import make_render_plan
 from pixsim.scene.tree import nodes_of, parse_tree, tree_of
 
 VARIANT = "scalar_spectral"
@@ -597,6 +600,27 @@ def test_packaged_scene_needs_no_child(tmp_path):
     copy.write_text(copy.read_text().replace("<integrator", "<!-- changed --><integrator"))
     assert np.array_equal(pixsim.render(load(copy, **small)).data, own.data)
     assert child._child.usable
+
+
+def test_plan_opens_no_file_of_a_scene(tmp_path):
+    """Its meshes and pictures are read where it is rendered, in the child."""
+    end_child()
+    (tmp_path / "a.ply").write_bytes(ply("3 0 1 2\n3 1 2 4\n"))
+    scene = load(scene_of(tmp_path, NAMED["ply"][1].format("a.ply"))).with_resolution(2)
+    assert make_render_plan(scene).samples.spp > 0
+    assert child._child is None
+    with pytest.raises(PixsimError, match=r"In line 1 of 'scene\.xml', 'a\.ply': mesh .*got corner 4; allowed: .* 0 to 3"):
+        pixsim.render(scene)
+
+
+def test_memory_of_the_child_is_bounded(tmp_path):
+    """In proportion to the scene's files, beyond what it has mapped when Mitsuba is loaded."""
+    (tmp_path / "a.ply").write_bytes(PLY)
+    ChildTracer(mesh_job(tmp_path / "a.ply")).sample_count("independent", 4)
+    limits = Path(f"/proc/{child._child.process.pid}/limits").read_text()
+    limit_bytes = int(re.search(r"Max address space +(\d+) ", limits)[1])
+    room_bytes = LEAST_BYTES + BYTES_PER_BYTE * len(PLY)
+    assert min(room_bytes, memory().total) < limit_bytes < room_bytes + (2 << 30)  # Mitsuba and LLVM map less than 1 GiB
 
 
 def test_error_within_the_child_is_an_error_here(tmp_path):

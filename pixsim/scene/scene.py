@@ -529,7 +529,7 @@ def sample_count(state: Tree, sensor: Node) -> int:
     count = _whole(_child(state, sensor, "Sampler"), "sample_count", 4)
     low, high = ALLOWED_SAMPLES
     if not low <= count <= high:
-        raise invalid("sample_count", count, f"{low} to {high}")
+        raise invalid("spp", count, f"{low} to {high}")
     return count
 
 

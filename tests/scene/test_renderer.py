@@ -428,7 +428,7 @@ def test_render_black_picture_raises(tmp_path):
 
 @pytest.mark.parametrize(("name", "value"), [("resolution", 0), ("resolution", 16385), ("spp", 0), ("spp", 2**20 + 1)])
 def test_render_size_out_of_range_raises(name, value):
-    with pytest.raises(PixsimError, match=rf"{name} .*: got '{value}' in line .*; allowed: 1 to"):
+    with pytest.raises(PixsimError, match=rf"{name}: got {value}; allowed: 1 to"):
         pixsim.render(pixsim.load_scene("flat", **{"resolution": 8, name: value}))
 
 

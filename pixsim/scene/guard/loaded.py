@@ -59,7 +59,7 @@ def check_files(job: TraceJob) -> list[float]:
     for file in job.files:
         try:
             highest.append(_highest(job.variant, file))
-        except PixsimError as error:
+        except (PixsimError, MemoryError) as error:
             lines = job.text.splitlines()
             line = next(number for number, text in enumerate(lines, 1) if escaped(file.path) in text)
             name = Path(file.path).name
