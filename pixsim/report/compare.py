@@ -595,8 +595,8 @@ def _differences(result: Comparison, metric: Metric) -> DocumentTable:
         for display in case.display_differences(other)[1:] if metric.is_delta_e else ():
             cells = difference_cells(display.difference, display.interval_delta_e)
             add([case.case.words, f"{display.dots} dots"], other, (*cells, ""), display.film_delta_e)
-    head = ("case", "sensors", "mean", "95 % interval", f"probability that {first} is better")
-    head += ("film's error, at most",) if metric.is_delta_e else ()
+    film_head = ["film's error, at most"] if metric.is_delta_e else []
+    head = ("case", "sensors", "mean", "95 % interval", f"probability that {first} is better", *film_head)
     name = "mean ΔE" if metric.is_delta_e else metric.title
     return DocumentTable(f"differences of {name}", head, rows, "" if metric.is_delta_e else name, words=(1,))
 

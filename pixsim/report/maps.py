@@ -278,14 +278,10 @@ def _optimum_cells(best: Optimum | None, prefix: str, value: str) -> dict[str, f
     prefix : of the names of columns
     value : name of the column of the best value
     """
-    low_um, high_um = best.interval_um if best else (None, None)
-    return {
-        f"{prefix}optimum_um": best and best.pitch_um,
-        f"{prefix}interval_low_um": low_um,
-        f"{prefix}interval_high_um": high_um,
-        f"{prefix}between_sizes_share": best and best.between_sizes_share,
-        value: best and best.value,
-    }
+    names = *(f"{prefix}{name}" for name in ("optimum_um", "interval_low_um", "interval_high_um", "between_sizes_share")), value
+    if best is None:
+        return dict.fromkeys(names)
+    return dict(zip(names, (best.pitch_um, *best.interval_um, best.between_sizes_share, best.value), strict=True))
 
 
 def best_column(curve: Curve) -> str:

@@ -39,7 +39,7 @@ def budget_numbers(budget: NoiseBudget) -> dict[str, tuple[float, float]]:
 
 def budget_columns(budgets: Mapping[str, NoiseBudget]) -> dict[str, Column]:
     """Return budgets by the words of their pixels as columns, a row for each cause of each pixel, and for its sums."""
-    rows = []
+    rows: list[dict[str, float | str | None]] = []
     for label, budget in budgets.items():
         for cause, (noise_e, delta_e) in budget_numbers(budget).items():
             part = budget.part_of(cause) if cause in budget.delta_e or cause == REMAINDER else ""
