@@ -31,19 +31,19 @@ def estimate(value: float, digits: int = 3) -> str:
     >>> estimate(0.9), estimate(76.543), estimate(15234.0), estimate(float("nan"))
     ('0.900', '76.5', '15200', '–')
     """
-    if not math.isfinite(value):
-        return UNKNOWN
+    if not value or not math.isfinite(value):
+        return "0" if value == 0 else UNKNOWN
     decimals = digits - 1 - _decade(value)
     return f"{round(value, decimals):.{max(decimals, 0)}f}"
 
 
-def pixel_size(pitch_um: float) -> str:
+def pixel_size(side: float) -> str:
     """Return the side of a pixel, to two decimals at most.
 
     >>> pixel_size(4.0), pixel_size(2.2), pixel_size(2.5612)
     ('4 µm', '2.2 µm', '2.56 µm')
     """
-    return f"{pitch_um:.2f}".rstrip("0").removesuffix(".") + " µm"
+    return f"{side:.2f}".rstrip("0").removesuffix(".") + " µm"
 
 
 def number(value: float | None, digits: int = 2, least: float = 0.0) -> str:

@@ -267,7 +267,7 @@ def test_command_says_at_which_value_a_target_is_seen_or_that_it_is_at_none(tmp_
     code, out, err = command(f"{line} --out {tmp_path / 'lux'}")
     assert code == 0, err
     value = json.loads((tmp_path / "lux" / "score.json").read_text())["at_threshold"]["value"]
-    assert f"10 is reached at lux of {value:.4g} to " in out
+    assert f"10 is reached at lux from {value:.3g} on up to " in out
     assert d_prime_at("lux", value) == pytest.approx(10.0, rel=3e-3)
     sought = {"detectability": {"solve_for": "contrast", "threshold": 1000.0, "registrations": 2}}
     found = pixsim.run("target", parameters=TARGET, metric=sought, **SMALL)
