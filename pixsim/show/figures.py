@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from pixsim.base.arrays import Array
+from pixsim.base.digits import setting_text
 from pixsim.base.errors import invalid
 from pixsim.base.lazy import RC_FILE, leave_out_docstrings_of_matplotlib
 from pixsim.base.shared_block import SharedBlock
@@ -83,7 +84,7 @@ def plain_powers(axis: Axis) -> None:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: setting_text(value)))
     axis.set_minor_formatter(NullFormatter())
 
 
