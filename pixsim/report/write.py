@@ -14,7 +14,7 @@ def write_report(
 ) -> Path:
     """Write report.html and the other files of a result, as `result.write` and its command do.
 
-    Only the wall times in the report and in pixsim.json vary: everything else is reproducible byte for byte.
+    Only the wall times in the report and pixsim.json vary: everything else is reproducible byte for byte.
 
     result : of `run`, `study`, `compare`, `sweep`, `lens`, `datasheet`, `sfr`, `accuracy` or `evaluate`
     folder : created if missing
