@@ -18,7 +18,7 @@ from pixsim.base.schema import result_data
 from pixsim.base.tables import rows_csv
 from pixsim.measure.datasheet import DataSheet, Entry
 from pixsim.measure.estimators import straight_line
-from pixsim.report.panels import LINE, MARKED_LINE, POINTS, Line, Panel, draw_panels
+from pixsim.report.panels import LINE, MARKED_LINE, POINTS, Line, LinePanel, draw_panels
 from pixsim.sensor.labels import file_label, label_of
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.show.document import Answer, Document, DocumentTable, Plot, Section, headline, made_with, pairs
@@ -56,7 +56,7 @@ def photon_transfer_plate(sheet: DataSheet) -> Drawing:
         Line("signal_dn", "gain_times_signal_dn2", "fit, slope K"),
     )
     marks = {"end of the fit": signal[transfer.fitted][-1], "saturation": signal[transfer.saturation_index]}
-    return draw_panels(table, [Panel(SIGNAL, "temporal variance minus dark (DN²)", lines, marks)])
+    return draw_panels(table, [LinePanel(SIGNAL, "temporal variance minus dark (DN²)", lines, marks)])
 
 
 @figure("responsivity", "Responsivity R: the slope of signal over photons.")
@@ -67,7 +67,7 @@ def responsivity_plate(sheet: DataSheet) -> Drawing:
     table = {"photons_p": photons, "signal_dn": sheet.signal_dn, "fitted_dn": fitted_dn}
     lines = Line("photons_p", "signal_dn", "measured", POINTS), Line("photons_p", "fitted_dn", "fit, slope R")
     marks = {"saturation": transfer.saturation_p.value}
-    return draw_panels(table, [Panel(PHOTONS, SIGNAL, lines, marks)])
+    return draw_panels(table, [LinePanel(PHOTONS, SIGNAL, lines, marks)])
 
 
 @figure("snr", "Signal over noise. The dynamic range lies between the vertical lines.")
@@ -92,7 +92,7 @@ def snr_plate(sheet: DataSheet) -> Drawing:
     )
     marks = {"μ_p.min, where the SNR is 1": transfer.threshold_p.value, "μ_p.sat": transfer.saturation_p.value}
     axes = {"xscale": "log", "yscale": "log", "ylim": (0.1, None)}
-    return draw_panels(table, [Panel(PHOTONS, "SNR (mean / standard deviation)", lines, marks, axes, "lower right")])
+    return draw_panels(table, [LinePanel(PHOTONS, "SNR (mean / standard deviation)", lines, marks, axes, "lower right")])
 
 
 @figure("linearity", "Deviation from a straight line, 5 to 95 % of saturation. Bars: standard error.")
@@ -107,7 +107,7 @@ def linearity_plate(sheet: DataSheet) -> Drawing:
         "counted_percent": np.where(linearity.within, 100 * linearity.deviation, np.nan),
     }
     lines = (Line("photons_p", "counted_percent", style=POINTS),)
-    figure, _ = draw_panels(table, [Panel(PHOTONS, "deviation from a straight line (%)", lines)])
+    figure, _ = draw_panels(table, [LinePanel(PHOTONS, "deviation from a straight line (%)", lines)])
     figure.axes[0].errorbar(light.at, table["counted_percent"], error_percent, fmt="none", lw=1, color="0.5")
     return figure, table
 
@@ -131,10 +131,10 @@ def dark_current_plate(sheet: DataSheet) -> Drawing:
         slope, start = straight_line(dark.at, table[name], np.zeros_like(dark.at))
         table[f"fitted_{name}"] = start.value + slope.value * dark.at
         lines = Line("integration_s", name, "measured", POINTS), Line("integration_s", f"fitted_{name}", "fit")
-        panels.append(Panel("integration time (s)", label, lines))
+        panels.append(LinePanel("integration time (s)", label, lines))
     if warm:
         line = Line("temperature_k", "dark_current_e_per_s", style=POINTS)
-        panels.append(Panel("temperature (K)", "dark current (e⁻/s)", (line,), axes={"yscale": "log"}))
+        panels.append(LinePanel("temperature (K)", "dark current (e⁻/s)", (line,), axes={"yscale": "log"}))
     figure, _ = draw_panels(table, panels)
     if warm:
         plain_powers(figure.axes[-1].yaxis)
@@ -163,7 +163,7 @@ def histogram_plate(sheet: DataSheet) -> Drawing:
             Line(f"{name}_bin", f"{name}_pixels", f"{name.upper()}: {deviation.size} pixels", STEPS),
             Line(f"{name}_bin", f"{name}_normal", "normal distribution"),
         )
-        panels.append(Panel(MAPS[name], "pixels per bin", lines, axes={"yscale": "log", "ylim": (0.5, 3 * counts.max())}))
+        panels.append(LinePanel(MAPS[name], "pixels per bin", lines, axes={"yscale": "log", "ylim": (0.5, 3 * counts.max())}))
     return draw_panels(table, panels)
 
 
@@ -186,7 +186,7 @@ def spectrogram_plate(sheet: DataSheet) -> Drawing:
             table[y] = np.sqrt(power)
             lines.append(Line(x, y, f"{name.upper()}, {direction}", MARKED_LINE))
         unit = "e⁻" if name == "dsnu" else "%"
-        panels.append(Panel("frequency (periods per pixel)", f"standard deviation ({unit})", lines))
+        panels.append(LinePanel("frequency (periods per pixel)", f"standard deviation ({unit})", lines))
     figure, _ = draw_panels({column: values[1:] for column, values in table.items()}, panels)
     return figure, table
 
@@ -202,7 +202,7 @@ def profile_plate(sheet: DataSheet) -> Drawing:
             Line("column_or_row", f"{name}_{direction}", f"{name.upper()}, means of {direction}", MARKED_LINE)
             for direction in ("columns", "rows")
         ]
-        panels.append(Panel("column or row", MAPS[name], lines))
+        panels.append(LinePanel("column or row", MAPS[name], lines))
     return draw_panels(table, panels)
 
 

@@ -15,7 +15,7 @@ from pixsim.base.errors import one_line
 from pixsim.base.schema import result_data
 from pixsim.base.tables import Column, plain, table_csv
 from pixsim.measure.lens import CUT_POINTS, MTF_LINES, LensData, cross_section
-from pixsim.report.panels import LEGEND_IN, MARKED_LINE, Line, Panel, draw_panels, legend_below, panels_of, rows_table
+from pixsim.report.panels import LEGEND_IN, MARKED_LINE, Line, LinePanel, draw_panels, legend_below, panels_of, rows_table
 from pixsim.show.document import Answer, Document, DocumentTable, Listed, Plot, Section, made_with
 from pixsim.show.figures import LOOKS, finish
 from pixsim.show.pages import Drawing, coarse_table, figure, figure_files
@@ -146,7 +146,7 @@ def mtf_plate(data: LensData) -> Drawing:
     lines.append(Line("frequency_lp_per_mm", "diffraction", "diffraction, on the axis"))
     nyquist = {} if data.pitch_um is None else {f"Nyquist of {data.pitch_um:g} µm": 500 / data.pitch_um}
     limits = {"xlim": (0, data.frequency_lp_per_mm[-1]), "ylim": (0, 1.02)}
-    return draw_panels(table, [Panel("frequency (line pairs/mm)", "MTF", lines, nyquist, limits)], legend_columns=5)
+    return draw_panels(table, [LinePanel("frequency (line pairs/mm)", "MTF", lines, nyquist, limits)], legend_columns=5)
 
 
 @figure("mtf_over_field", "MTF against image height.")
@@ -155,12 +155,12 @@ def mtf_over_field(data: LensData) -> Drawing:
     table = {"field_deg": data.field_deg, "image_height_mm": data.height_mm}
     curves = [(f"{frequency:.4g} lp/mm", f"{frequency:.4g}", data.mtf_at(frequency).T) for frequency in data.asked_lp_per_mm]
     lines = mtf_lines(table, "image_height_mm", curves)
-    return draw_panels(table, [Panel(HEIGHT, "MTF", lines, axes={"ylim": (0, 1.02)})], legend_columns=len(curves))
+    return draw_panels(table, [LinePanel(HEIGHT, "MTF", lines, axes={"ylim": (0, 1.02)})], legend_columns=len(curves))
 
 
 CURVES = {
     "field_curvature": (
-        Panel(
+        LinePanel(
             ANGLE,
             "focus behind the image plane (mm)",
             (
@@ -168,10 +168,10 @@ CURVES = {
                 Line("field_deg", "sagittal_focus_mm", "sagittal", MARKED_LINE),
             ),
         ),
-        Panel(ANGLE, "distortion (%)", (Line("field_deg", "distortion_percent"),)),
+        LinePanel(ANGLE, "distortion (%)", (Line("field_deg", "distortion_percent"),)),
     ),
     "illumination": (
-        Panel(
+        LinePanel(
             HEIGHT,
             "relative illumination",
             (
@@ -180,11 +180,11 @@ CURVES = {
             ),
             axes={"ylim": (0, 1.05)},
         ),
-        Panel(HEIGHT, "chief ray angle (degrees)", (Line("image_height_mm", "chief_ray_angle_deg"),)),
+        LinePanel(HEIGHT, "chief ray angle (degrees)", (Line("image_height_mm", "chief_ray_angle_deg"),)),
     ),
     "colour": (
-        Panel(ANGLE, "lateral colour (µm)", (Line("field_deg", "lateral_colour_um"),)),
-        Panel("wavelength (nm)", "shift of the paraxial focus (µm)", (Line("wavelength_nm", "focus_um"),)),
+        LinePanel(ANGLE, "lateral colour (µm)", (Line("field_deg", "lateral_colour_um"),)),
+        LinePanel("wavelength (nm)", "shift of the paraxial focus (µm)", (Line("wavelength_nm", "focus_um"),)),
     ),
 }
 

@@ -44,7 +44,7 @@ class Line(NamedTuple):
     style: Mapping[str, Any] = LINE
 
 
-class Panel(NamedTuple):
+class LinePanel(NamedTuple):
     """Axes with lines of a table.
 
     x, y : labels
@@ -77,7 +77,7 @@ def panels_of(count: int, height_in: float, shared: bool = False, legend_in: flo
 
 
 def draw_panels(
-    table: Mapping[str, Array], panels: Sequence[Panel], height_in: float = HEIGHT_IN, legend_columns: int = 0
+    table: Mapping[str, Array], panels: Sequence[LinePanel], height_in: float = HEIGHT_IN, legend_columns: int = 0
 ) -> tuple[Figure, Mapping[str, Array]]:
     """Draw lines of a table in panels side by side, and return the figure and the table.
 

@@ -11,7 +11,7 @@ from pixsim.base.digits import number, percent, with_ends
 from pixsim.base.schema import result_data
 from pixsim.base.tables import table_csv
 from pixsim.measure.sfr import COVERAGE, NYQUIST_CY_PER_PX, EdgeResponse
-from pixsim.report.panels import Line, Panel, draw_panels
+from pixsim.report.panels import Line, LinePanel, draw_panels
 from pixsim.show.document import Answer, Document, Plot, Section
 from pixsim.show.figures import COLOURS
 from pixsim.show.pages import FIGURE_SUFFIXES, Drawing, figure
@@ -117,7 +117,7 @@ def sfr_plate(edge: EdgeResponse) -> Drawing:
         marks["MTF50"] = edge.mtf50_cy_per_px * scale
 
     limits = {"xlim": (0, table[x][-1]), "ylim": (0, max(1.03, min(1.05 * float(edge.sfr.max()), MAX_SFR_SHOWN)))}
-    panel = Panel(f"frequency along the normal of the edge ({unit})", "e-SFR", (Line(x, "sfr", "SFR"),), marks, limits)
+    panel = LinePanel(f"frequency along the normal of the edge ({unit})", "e-SFR", (Line(x, "sfr", "SFR"),), marks, limits)
     figure, _ = draw_panels(table, [panel])
     figure.axes[0].fill_between(table[x], table["sfr_low"], table["sfr_high"], color=COLOURS[0], alpha=0.25, lw=0)
     return figure, table
@@ -127,7 +127,7 @@ def sfr_plate(edge: EdgeResponse) -> Drawing:
 def edge_plate(edge: EdgeResponse) -> Drawing:
     """Plot the edge spread function."""
     table = {"distance_px": edge.distance_px, "mean": edge.edge_spread}
-    panel = Panel("distance from the edge along its normal (pixels)", "mean of bins", (Line("distance_px", "mean"),))
+    panel = LinePanel("distance from the edge along its normal (pixels)", "mean of bins", (Line("distance_px", "mean"),))
     return draw_panels(table, [panel])
 
 
