@@ -439,16 +439,15 @@ def _read_toml(path: Path, options: PrescriptionOptions, own: Mapping[str, Glass
     if file.stop_surface is not None:
         stops.add(file.stop_surface - 1)
     stop = _one_stop(stops, f"'{path}'", len(file.surface), "Give its number, from 1, as stop_surface.")
-    found: list[Glass | PixsimError] = []
-    for index, one in enumerate(file.surface):
+    glasses: list[Glass] = []
+    unknown: list[str] = []
+    for index, surface in enumerate(file.surface):
         try:
-            found.append(_toml_glass(one.glass, file.glass, place(index), own))
+            glasses.append(_toml_glass(surface.glass, file.glass, place(index), own))
         except PixsimError as error:
-            found.append(error)
-    glasses = [one for one in found if isinstance(one, Glass)]
-    if unknown := [one for one in found if isinstance(one, PixsimError)]:
-        many = [f"'{path}': got {len(unknown)} surfaces whose glass is not known."] if len(unknown) > 1 else []
-        raise PixsimError("\n".join([*many, *map(str, unknown)]))
+            unknown.append(str(error))
+    if unknown:
+        raise PixsimError("\n".join(unknown))
     surfaces = tuple(
         _toml_surface(surface, glass, place(index))
         for index, (surface, glass) in enumerate(zip(file.surface, glasses, strict=True))
@@ -878,28 +877,22 @@ def _kind(block: _Block) -> str:
 
 
 def _check_traced(path: Path, blocks: Sequence[_Block]) -> None:
-    """Raise PixsimError that names all surfaces that pixsim does not trace."""
-    found: list[tuple[str, str, str, str]] = []
+    """Raise PixsimError with a line for each surface, or part of it, that pixsim does not trace."""
+    errors: list[PixsimError] = []
     medium = ""
     for block in blocks:
-        where = block.place(path)
-        found += [(f"{where}{at}", got, expected, hint) for at, got, expected, hint in _untraced(block, where, medium)]
+        errors += _untraced(block, block.place(path), medium)
         medium = _glass_name(block) if _kind(block) != NULL else medium
-    if len(found) == 1:
-        where, got, expected, hint = found[0]
-        raise invalid(where, got, expected, hint)
-    if found:
-        got = "; ".join(f"{where.partition(', ')[2]}: {what}" for where, what, _, _ in found)
-        expected = "; ".join(dict.fromkeys(expected for _, _, expected, _ in found))
-        raise invalid(f"'{path}': {len(found)} surfaces or parts of them", got, expected, HOW_TRACED)
+    if errors:
+        raise PixsimError("\n".join(map(str, errors)))
 
 
 def _glass_name(block: _Block) -> str:
     return next((line.words[0].upper() for line in block.all("GLAS") if line.words and line.words[0].upper() != "AIR"), "")
 
 
-def _untraced(block: _Block, where: str, medium: str) -> Iterator[tuple[str, str, str, str]]:
-    """Yield what of a surface is not traced: its line, what it is, what is allowed, and a hint.
+def _untraced(block: _Block, where: str, medium: str) -> Iterator[PixsimError]:
+    """Yield an error for each part of a surface that is not traced.
 
     medium : name of the glass in front of it
     """
@@ -913,33 +906,35 @@ def _untraced(block: _Block, where: str, medium: str) -> Iterator[tuple[str, str
         if _glass_name(block) not in ("", medium):
             moved.append("with a glass of its own")
         if moved:
-            yield "", f"{NULL}, a tilted or decentred axis ({', '.join(moved)})", TRACED, HOW_TRACED
+            yield invalid(where, f"{NULL}, a tilted or decentred axis ({', '.join(moved)})", TRACED, HOW_TRACED)
     elif kind not in STEP:
         what = ", a gradient index" if kind.startswith(GRADIENTS) else ""
-        yield "", f"the surface type {names_in([kind])[0]}{what}", TRACED, HOW_TRACED
+        yield invalid(where, f"the surface type {names_in([kind])[0]}{what}", TRACED, HOW_TRACED)
     for glass in block.all("GLAS"):
         if glass.words and glass.words[0].upper() == "MIRROR":
             expected = "refracting surfaces: pixsim traces no mirrors"
-            yield f", line {glass.number}: GLAS", "'MIRROR', a mirror", expected, ""
+            yield invalid(f"{where}, line {glass.number}: GLAS", "'MIRROR', a mirror", expected)
     if any(line.words[:1] not in ([], ["0"]) for line in block.all("IGNR")):
-        yield "", "a surface that Zemax ignores (IGNR)", "surfaces in use", "Delete it in the lens data editor."
+        yield invalid(where, "a surface that Zemax ignores (IGNR)", "surfaces in use", "Delete it in the lens data editor.")
     for tilt in block.all("SCBD"):
         if any(_is_number(word) and float(word) for word in tilt.words[1:]):
-            yield f", line {tilt.number}", "a tilted or decentred surface (SCBD)", "surfaces on the axis", ""
+            yield invalid(f"{where}, line {tilt.number}", "a tilted or decentred surface (SCBD)", "surfaces on the axis")
     for other in block.all(*OTHER_APERTURES):
-        yield f", line {other.number}", f"{other.keyword}, a {OTHER_APERTURES[other.keyword]}", "discs: CLAP or FLAP", ""
+        yield invalid(
+            f"{where}, line {other.number}", f"{other.keyword}, a {OTHER_APERTURES[other.keyword]}", "discs: CLAP or FLAP"
+        )
     for decentre in block.all("OBDC"):
         if any(_zmx_number(where, decentre, place, 0.0) for place in (0, 1)):
-            yield f", line {decentre.number}", "a decentred aperture (OBDC)", "apertures on the axis", ""
+            yield invalid(f"{where}, line {decentre.number}", "a decentred aperture (OBDC)", "apertures on the axis")
     for aperture in block.all("CLAP", "FLAP"):
         if _zmx_number(where, aperture, 0, 0.0):
-            yield f", line {aperture.number}", f"{aperture.keyword} with a hole inside", "full discs, from radius 0", ""
+            yield invalid(f"{where}, line {aperture.number}", f"{aperture.keyword} with a hole inside", "full discs, from radius 0")
     if kind in EXTENDED:
         stated, extra = ([term for term in block.all(name) if _zmx_number(where, term, 1, 0.0)] for name in ("PARM", "XDAT"))
         if stated or not extra:
             got = f"{kind} {'with terms in both PARM and XDAT' if extra else 'without XDAT'}, which programs read in several ways"
             expected = "XDAT 1 with the number of terms, 2 with the radius, and the terms from 3 on"
-            yield "", got, expected, "Save the lens again in OpticStudio."
+            yield invalid(where, got, expected, "Save the lens again in OpticStudio.")
 
 
 def _is_number(word: str) -> bool:
@@ -1005,7 +1000,7 @@ def _zmx_glasses(
     """Return the medium behind each surface. Raises PixsimError that names all glasses that are not known."""
     makers = [word for line in head.all("GCAT") for word in line.words]
     glasses: list[Glass] = []
-    unknown: list[tuple[_Block, _Line, PixsimError]] = []
+    unknown: list[str] = []
     modelled: list[str] = []
     for block in blocks:
         line = block.first("GLAS")
@@ -1024,25 +1019,15 @@ def _zmx_glasses(
                 glasses.append(abbe_glass(f"{name} by {model_name(*numbers)}", *numbers))
                 modelled.append(f"{names_in([name])[0]} (surface {block.number})")
             else:
-                unknown.append((block, line, error))
+                unknown.append(f"{error} {_ready(line)}")
                 glasses.append(AIR)
     if modelled:
         notes.append(f"glasses that no catalogue has are models of the n_d and V_d in their lines: {', '.join(modelled)}")
     elif options.unknown_glass == "model" and not unknown:
         notes.append('lens.unknown_glass = "model" changes nothing: every glass of the file is known')
-    if len(unknown) == 1:
-        _, line, reason = unknown[0]
-        raise PixsimError(f"{reason} {_ready(line)} {OWN_CATALOGUE}")
     if unknown:
-        listed = [
-            f"surface {block.number}, line {line.number}: {_reason(reason)}. {_ready(line)}" for block, line, reason in unknown
-        ]
-        raise PixsimError("\n".join([f"'{path}': got {len(unknown)} surfaces of unknown glass. {OWN_CATALOGUE}", *listed]))
+        raise PixsimError("\n".join([*unknown, OWN_CATALOGUE]))
     return glasses
-
-
-def _reason(error: PixsimError) -> str:
-    return str(error).partition(": got ")[2].partition("; allowed")[0] or str(error)
 
 
 def _own_numbers(line: _Line) -> tuple[float, float] | None:

@@ -233,11 +233,12 @@ def test_unknown_glasses_of_the_originals_are_named() -> None:
     with pytest.raises(pixsim.PixsimError, match=r"surface 3 \(line \d+\), line \d+: GLAS: got the unknown glass 'L-TIM28_MOLD'"):
         pixsim.load_lens(str(DATA / "US08427765-1.ZMX"))
     for unknown in ("error", "model"):
-        with pytest.raises(pixsim.PixsimError, match=r"got 2 surfaces of unknown glass") as raised:
+        with pytest.raises(pixsim.PixsimError) as raised:
             pixsim.load_lens(str(DATA / "zmax_55278.zmx"), unknown_glass=unknown)
-        lines = str(raised.value).splitlines()[1:]
-        assert [line.partition(",")[0] for line in lines] == ["surface 2", "surface 4"]
-        assert all("unknown glass 'BK7'. Its line states no n_d and V_d of its own" in line for line in lines)
+        *lines, catalogue = str(raised.value).splitlines()
+        assert [re.findall(r"surface \d", line)[0] for line in lines] == ["surface 2", "surface 4"]
+        assert all(re.search("unknown glass 'BK7'; .* Its line states no n_d and V_d of its own", line) for line in lines)
+        assert "lens.glass_catalogues" in catalogue
 
 
 def test_files_that_are_no_prescription_are_refused(tmp_path: Path) -> None:
@@ -380,12 +381,10 @@ def test_all_unknown_glasses_are_named_at_once(tmp_path: Path) -> None:
     with pytest.raises(pixsim.PixsimError) as raised:
         load(tmp_path, text)
     lines = str(raised.value).splitlines()
-    assert "got 3 surfaces of unknown glass" in lines[0]
-    assert "lens.glass_catalogues" in lines[0]
-    found = [re.findall(r"unknown glass '(\w+)'.*write GLAS ___BLANK 1 0 1\.5\d+", line) for line in lines[1:]]
+    found = [re.findall(r"unknown glass '(\w+)'.*write GLAS ___BLANK 1 0 1\.5\d+", line) for line in lines[:-1]]
     assert found == [["OLD1"], ["OLD1"], ["OLD2"]]
     inline = TOML.replace('glass = "HIKARI:SK16"', 'glass = "OLD1"').replace('glass = "SCHOTT:F2"', 'glass = "OLD2"')
-    with pytest.raises(pixsim.PixsimError, match=r"got \d surfaces whose glass is not known") as raised:
+    with pytest.raises(pixsim.PixsimError) as raised:
         load(tmp_path, inline, "lens.toml")
     assert {"OLD1", "OLD2"} <= set(re.findall(r"'(OLD\d)'", str(raised.value)))
 
@@ -445,9 +444,9 @@ def test_all_surfaces_that_are_not_traced_are_named_at_once(tmp_path: Path) -> N
     text = text.replace("SURF 2\n  TYPE STANDARD", "SURF 2\n  TYPE COORDBRK\n  PARM 1 .5\n  PARM 4 -2").replace(
         "CURV -0.02", "CURV 0"
     )
-    with pytest.raises(pixsim.PixsimError, match="3 surfaces or parts of them") as raised:
+    with pytest.raises(pixsim.PixsimError) as raised:
         load(tmp_path, text)
-    assert re.search(r"got surface 1 .*TOROIDAL; surface 1 .*MIRROR.*; surface 2 .*decentre x 0.5, tilt y -2", str(raised.value))
+    assert re.search(r"surface 1 .*TOROIDAL.*\n.*surface 1 .*MIRROR.*\n.*surface 2 .*decentre x 0.5, tilt y -2", str(raised.value))
 
 
 def test_extended_asphere_is_the_even_one(tmp_path: Path) -> None:

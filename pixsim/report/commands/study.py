@@ -20,7 +20,6 @@ from pixsim.report.uncertainty import uncertainty_files
 from pixsim.show.document import Document
 from pixsim.show.pages import Figures
 from pixsim.show.render import write
-from pixsim.studies.design import check_number
 from pixsim.studies.dry_run import fitting_jobs
 from pixsim.studies.engine import Workers, workers_here
 from pixsim.studies.files import checked_study, config_layers, read_study, uncertainty_of
@@ -80,7 +79,6 @@ def study_files(
         if dry_run:
             return outline_document("study", study_outline(job, jobs, types), folder), None
 
-        check_number(len(job.combinations), job.evaluations, agreed)
         names = (axes_files if job.complete.has_cases else report_files)(job.complete)
         if asked is not None:
             say(f"{types} sensor types, at most {evaluations} evaluations")
