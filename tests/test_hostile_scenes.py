@@ -191,16 +191,16 @@ def test_judged_text_has_what_the_file_has(tmp_path):
     assert (text.names, text.defaults) == ({"file"}, {"file": "ü.exr"})
 
 
-@pytest.mark.parametrize("encoding", ["latin1", "ISO-8859-1", "utf-16", "UTF-32", "windows-1252", "utf-7", "x"])
+@pytest.mark.parametrize("encoding", ["latin1", "utf-16", "UTF-32", "windows-1252"])
 def test_other_encoding_is_refused(encoding, tmp_path):
-    with pytest.raises(PixsimError, match=rf'got encoding="{encoding}"; allowed: UTF-8'):
-        open_scene(scene_of(tmp_path, "", f'<?xml version="1.0" encoding="{encoding}"?>{HEAD}'), {})
-    (tmp_path / "scene.xml").write_bytes(f"{HEAD}</scene>".encode("utf-16"))
+    """By the bytes of the file, not by what it declares: Mitsuba gets ASCII."""
+    head = f'<?xml version="1.0" encoding="{encoding}"?>{HEAD}'
+    (tmp_path / "scene.xml").write_bytes(f'{head}<bsdf type="null" id="grün"/></scene>'.encode(encoding))
     with pytest.raises(PixsimError, match="UTF-8"):
         open_scene(tmp_path / "scene.xml", {})
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "UTF-8", "US-ASCII"])
+@pytest.mark.parametrize("encoding", ["utf-8", "UTF-8", "US-ASCII", "latin1", "utf-7"])
 def test_utf_8_is_read(encoding, tmp_path):
     assert open_scene(scene_of(tmp_path, "", f'<?xml version="1.0" encoding="{encoding}"?>{HEAD}'), {}).text.startswith("<scene")
 

@@ -22,7 +22,7 @@ from pathlib import Path
 from xml.parsers import expat
 
 from pixsim.base.caller import parameter
-from pixsim.base.errors import PLAIN_WORD, PixsimError, excerpt, invalid, names_in
+from pixsim.base.errors import PLAIN_WORD, PixsimError, excerpt, invalid
 from pixsim.base.files import is_utf8, missing, read_text
 from pixsim.scene.packaged import packaged_folder
 
@@ -34,13 +34,10 @@ MAX_INCLUDES = 64
 MAX_INCLUDE_DEPTH = 8
 MAX_PARAMETERS = 512
 MAX_FOLDERS = 64
-MAX_VALUE = 1 << 20  # characters of an attribute
 MAX_EXPANDED = 16 << 20  # characters of all attributes after substitution
 MAX_SUBSTITUTED = 20_000  # parameters in all attributes
 OLDEST_VERSION = (2, 0, 0)  # Mitsuba rewrites the names of older scenes
-TAG = re.compile(r"<[^<>\"']*(?:\"[^\"]*\"[^<>\"']*|'[^']*'[^<>\"']*)*>")
 DOLLAR = re.compile(r"\\\$|\$([\w.-]*)")
-ENCODINGS = ("utf-8", "us-ascii", "ascii")  # that say the same of an ASCII text; all others are refused
 TO_ESCAPE = re.compile(r"[^ !#$%'-;=?-~]")
 
 
@@ -103,7 +100,7 @@ class SceneFiles:
     @cached_property
     def roots(self) -> tuple[Path, ...]:
         """The folders and files that the scene may name, without links: its own folder, packaged data, what the user names."""
-        places = [os.path.join(folder, value) for value in self.given.values() if value for folder in (self.folder, "")]
+        places = [folder / value for value in self.given.values() if value for folder in (self.folder, Path())]
         named = [place for place in places if os.path.exists(place)]
         return tuple(Path(os.path.realpath(place)) for place in (self.folder, packaged_folder(), *named))
 
@@ -154,9 +151,6 @@ class SceneFiles:
             self.names.add(name)
             size += len(self._values[name])
             self._left_substituted -= 1
-            if size > MAX_VALUE:
-                got = f"an attribute of {size} characters after substituting parameters"
-                raise invalid(f"scene '{path}'", got, f"up to {MAX_VALUE}")
             if self._left_substituted < 0 or size > self._left_expanded:
                 allowed = f"{MAX_SUBSTITUTED} of them, {MAX_EXPANDED} characters in total"
                 raise invalid(f"scene '{path}'", "too many substitutions of parameters", allowed)
@@ -185,35 +179,13 @@ def read_scene(path: Path, given: dict[str, str]) -> SceneFiles:
     return scene
 
 
-def without_comments(text: str, path: Path) -> str:
+def without_comments(text: str) -> str:
     """Remove comments: Mitsuba's parser accepts two hyphens in a comment, which XML does not."""
     pieces, at = [], 0
-    while (start := text.find("<", at)) >= 0:
-        pieces.append(text[at:start])
-        if text.startswith("<!--", start):
-            at = _after(text, "-->", start + 4, path)
-            pieces.append("\n" * text.count("\n", start, at))  # keep line numbers
-            continue
-        if text.startswith("<![CDATA[", start):
-            at = _after(text, "]]>", start, path)
-        elif text.startswith("<?", start):
-            at = _after(text, "?>", start, path)
-        elif text.startswith("<!", start):  # a DOCTYPE is an error later
-            at = len(text)
-        elif tag := TAG.match(text, start):
-            at = tag.end()
-        else:
-            line = text.count("\n", 0, start) + 1
-            raise invalid("scene", f"'{path}' (line {line}: unterminated tag)", ALLOWED)
-        pieces.append(text[start:at])
+    while (start := text.find("<!--", at)) >= 0 and (end := text.find("-->", start + 4)) >= 0:
+        pieces += [text[at:start], "\n" * text.count("\n", start, end)]  # keep line numbers
+        at = end + 3
     return "".join(pieces) + text[at:]
-
-
-def _after(text: str, end: str, start: int, path: Path) -> int:
-    at = text.find(end, start)
-    if at < 0:
-        raise invalid("scene", f"'{path}' (no closing {end})", ALLOWED)
-    return at + len(end)
 
 
 def _read(path: Path, scene: SceneFiles, includes_deep: int, deep: int) -> SceneElement:
@@ -222,7 +194,7 @@ def _read(path: Path, scene: SceneFiles, includes_deep: int, deep: int) -> Scene
     scene._left_bytes -= len(text)
     if not includes_deep:
         scene.content = text
-    text = without_comments(text, path)
+    text = without_comments(text)
     parser = expat.ParserCreate("utf-8")
     # For each element that is open: what it will be, and its children so far.
     open_elements: list[tuple[str, dict[str, str], int, str, list[SceneElement]]] = [("", {}, 0, "", [])]
@@ -260,18 +232,14 @@ def _read(path: Path, scene: SceneFiles, includes_deep: int, deep: int) -> Scene
     def has_document_type(*_: object) -> None:
         raise invalid(f"scene '{path}'", "a DOCTYPE", "none", "Remove it and its entities.")
 
-    def is_declared(_: str, encoding: str | None, __: int) -> None:
-        if encoding is not None and encoding.lower() not in ENCODINGS:
-            raise invalid(f"scene '{path}'", f'encoding="{names_in([encoding])[0]}"', "UTF-8", "Save the file in UTF-8.")
-
     parser.StartElementHandler, parser.EndElementHandler = begins, ends
-    parser.StartDoctypeDeclHandler, parser.XmlDeclHandler = has_document_type, is_declared
+    parser.StartDoctypeDeclHandler = has_document_type
     try:
         parser.Parse(text.encode(), True)
     except expat.ExpatError as error:
         raise invalid("scene", f"'{path}' ({error})", ALLOWED) from None
     finally:  # they refer to the parser: the tree would stay in memory until Python looks for circles
-        parser.StartElementHandler = parser.EndElementHandler = parser.StartDoctypeDeclHandler = parser.XmlDeclHandler = None
+        parser.StartElementHandler = parser.EndElementHandler = parser.StartDoctypeDeclHandler = None
     root = next(iter(open_elements[0][-1]), None)
     if root is None:
         raise invalid(f"scene '{path}'", "no element", ALLOWED)
