@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from pixsim.base.arrays import Array, stream
+from pixsim.base.digits import rounded
 from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
 from pixsim.measure.estimators import Frames, PairSeries, pair, series
@@ -198,8 +199,10 @@ def usual_integration_s(readout: Readout, exposure: Exposure) -> float:
     if chosen is None:
         return min(USUAL_INTEGRATION_S, DARK_SHARE * readout.saturation_e / dark) if dark else USUAL_INTEGRATION_S
     if dark * chosen > readout.saturation_e / 2:
-        expected = f"at most {readout.saturation_e / 2 / dark:.3g} s, which fills half of the well"
-        raise invalid("exposure.integration_s", f"{chosen:g} s, which collects {dark * chosen:.3g} e- of dark charge", expected)
+        expected = f"at most {rounded(readout.saturation_e / 2 / dark, 3)} s, which fills half of the well"
+        raise invalid(
+            "exposure.integration_s", f"{chosen:g} s, which collects {rounded(dark * chosen, 3)} e- of dark charge", expected
+        )
     return chosen
 
 

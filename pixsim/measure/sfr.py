@@ -28,7 +28,7 @@ from scipy.special import chndtrinc, erf, ndtri, stdtrit
 from pixsim.base.arrays import Array
 from pixsim.base.bounds import LARGEST, SMALLEST, Positive
 from pixsim.base.caller import setting
-from pixsim.base.digits import percent
+from pixsim.base.digits import percent, rounded
 from pixsim.base.door import checked_methods
 from pixsim.base.errors import PixsimError, excerpt, invalid
 from pixsim.base.notes import Note, collected_notes, warn
@@ -461,7 +461,7 @@ def contrast_of(parts: Sequence[WeightedChannel]) -> float:
     low, high = (sum(side[0] * side[at] for side in sides) for at in (1, 2))
     contrast = (high - low) / (high + low) if high + low > 0 else np.inf
     if not MIN_CONTRAST <= abs(contrast) < np.inf:
-        got = f"a contrast of {abs(contrast):.2g} ({low:.4g} and {high:.4g} on the two sides)"
+        got = f"a contrast of {abs(contrast):.2g} ({rounded(low, 3)} and {rounded(high, 3)} on the two sides)"
         hint = "Check that the region contains the edge and that the black level is right."
         raise invalid("edge picture", got, f"a Michelson contrast of at least {MIN_CONTRAST:g}", hint)
     for part, (_, low, high) in zip(parts, sides, strict=True):
