@@ -638,7 +638,8 @@ def asset_files(state: Tree) -> tuple[AssetFile, ...]:
     files = []
     for index, node in enumerate(state.nodes):
         if "filename" in node:
-            path, has_light = _file_of(node), node.kind != "Shape" and index not in maps - others
+            path = _file_of(node)
+            has_light = node.kind != "Shape" and index not in maps - others and path.suffix.lower() not in EIGHT_BIT
             shape_index = int(node.get("shape_index", 0))
             files.append(AssetFile(str(path), digest_of(path), node.plugin, shape_index, has_light, shares.get(index, "")))
     return tuple(files)

@@ -91,7 +91,7 @@ class AssetFile:
 
     plugin : that reads it
     shape_index : which mesh of a serialized file
-    has_light : whether its texels are light or reflectances, finite and not negative
+    has_light : whether its texels are light or reflectances in floats, which must be finite and not negative
     share : the property that is a share of light and has these texels; empty for others
     """
 

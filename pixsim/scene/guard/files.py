@@ -292,7 +292,7 @@ def _included(name: str, path: Path, line: int, scene: SceneFiles, includes_deep
 def written(root: SceneElement) -> tuple[str, tuple[str, ...]]:
     """Return a tree as XML in ASCII, for Mitsuba: no comment, DOCTYPE, processing instruction, include or parameter.
 
-    Also return, for each of its lines, the place of its element in the user's files.
+    Also return, for each of its lines, the place of its element in the user's files, and the file that the element names.
     """
     lines: list[str] = []
     places: list[str] = []
@@ -302,7 +302,8 @@ def written(root: SceneElement) -> tuple[str, tuple[str, ...]]:
 
 def _write(node: SceneElement, lines: list[str], places: list[str]) -> None:
     attributes = "".join(f' {name}="{escaped(value)}"' for name, value in node.attributes.items())
-    places.append(node.place)
+    file = next((child.attributes["value"] for child in node.children if child.attributes.get("name") == "filename"), None)
+    places.append(node.place if file is None else f"{node.place}, '{Path(file).name}'")
     if not node.children:
         lines.append(f"<{node.tag}{attributes}/>\n")
         return
