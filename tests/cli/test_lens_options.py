@@ -183,7 +183,7 @@ def test_fields_without_light_have_a_dash(folder: Path) -> None:
     assert code == 0
     assert "warning" not in err
     last = [line.split() for line in out.splitlines() if line.split()[:1] == ["20"]]
-    assert [row[4:] for row in last] == [["0.000", "–", "–", "–", "–", "–"]]
+    assert [row[4:] for row in last] == [["0", "–", "–", "–", "–", "–"]]
     summary = (folder / "out" / "summary.json").read_text(encoding="utf-8")
     dark = json.loads(summary)["fields"][-1]
     assert (dark["rms_spot_um"], dark["rms_wavefront_waves"], dark["mtf"][0]["tangential"]) == (None, None, None)
