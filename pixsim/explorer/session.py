@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pixsim.base.digits import estimate
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.notes import collected_notes
@@ -241,7 +242,7 @@ class Session:
             uris = {name: "data:image/png;base64," + base64.b64encode(png_bytes(each)).decode() for name, each in codes.items()}
             found |= {"pictures": uris, "end": end, "dots": score.image.shape[:2]}
         if not sure:
-            words = f"mean ΔE {result.mean_delta_e:.3f} of one sensor, with errors that are being measured"
+            words = f"mean ΔE {estimate(result.mean_delta_e)} of one sensor, with errors that are being measured"
             return found | {"lines": [words], "unsure": "errors not measured yet"}
         preset, tables = self._settings(asked, number)
         flags = [word for name in ("sensor", "variant", "units") if (value := getattr(job, name)) for word in (f"--{name}", value)]

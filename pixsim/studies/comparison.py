@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from pixsim.base.arrays import Array
+from pixsim.base.digits import estimate
 from pixsim.base.notes import Note
 from pixsim.base.result import Result
 from pixsim.studies.design import Case
@@ -358,5 +359,5 @@ class Comparison(Result):
         return self.pairs(other, metric, match=match, condition=condition).sign(film or 0.0)
 
     def __repr__(self) -> str:
-        means = ", ".join(f"{name} {mean:.4g}" for name, (_, mean, _) in self.scores.items())
+        means = ", ".join(f"{name} {estimate(mean)}" for name, (_, mean, _) in self.scores.items())
         return f"<Comparison of mean ΔE: {means}>"

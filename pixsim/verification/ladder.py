@@ -11,7 +11,7 @@ from typing import Any
 
 from pixsim.base.arrays import Array
 from pixsim.base.bounds import Whole
-from pixsim.base.digits import number
+from pixsim.base.digits import estimate, number
 from pixsim.base.notes import without_warnings
 from pixsim.base.progress import Progress, Stage, no_stage
 from pixsim.base.result import Result
@@ -94,9 +94,8 @@ class Accuracy(Result):
     def __repr__(self) -> str:
         rung = self.rungs[-1]
         failed = sum(not case.passed for case in self.cases)
-        return (
-            f"<Accuracy of {self.name}: mean ΔE {rung.mean_delta_e:.3f}, error {number(rung.error_delta_e)}, {failed} cases fail>"
-        )
+        mean = f"mean ΔE {estimate(rung.mean_delta_e)}, error {number(rung.error_delta_e)}"
+        return f"<Accuracy of {self.name}: {mean}, {failed} cases fail>"
 
 
 def accuracy(
