@@ -564,11 +564,10 @@ def digest_of_run(lit: LitRun, files: RunFiles = USUAL) -> str:
     """Hash of everything that the files of a run are made from, but the wall times."""
     prepared, light = lit.prepared, lit.irradiance
     film = lit.rendered.film.as_dict() if lit.rendered and lit.rendered.film else None
-    of_case = prepared.settings, prepared.camera
-    own = *of_case, prepared.asked.camera, prepared.repeats, prepared.frames
-    imaging, without = prepared.cases[0].imaging, prepared.cases[0].without
-    assert imaging is not None
-    return digest_of_content(files, run_settings_text(prepared, light), light, film, imaging.technology, own, without)
+    (case,) = prepared.cases
+    assert case.imaging is not None
+    settings = run_settings_text(prepared, light), prepared.settings, prepared.camera, case.imaging.technology
+    return digest_of_content(files, settings, light, film, case.without)
 
 
 def repeating_settings(job: Job[Run], irradiance: SpectralImage) -> Run:

@@ -9,12 +9,12 @@ from pixsim.base.digits import estimate, pixel_size, told_apart, with_error, wit
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.schema import result_data
 from pixsim.base.tables import rows_csv
-from pixsim.show.document import Answer, Document, Plot, Section, pairs
+from pixsim.show.document import Answer, Document, Fact, Plot, Section, pairs
 from pixsim.show.figures import new_figure
 from pixsim.show.pages import Drawing, coarse_table, figure
 from pixsim.show.pictures import display_codes, light_png, scale_end
 from pixsim.show.presenter import Presenter
-from pixsim.show.sentences import sentence, settings_line
+from pixsim.show.sentences import settings_line
 from pixsim.viewer.delta_e_statistics import percentiles
 from pixsim.viewer.metrics import DELTA_E
 from pixsim.viewer.score import Cause, FrameScore, LightError, Score, exceeded
@@ -58,7 +58,7 @@ def score_document(score: Score) -> Document:
         title="Score",
         data=result_data(statistics, settings={"display": score.display.model_dump(mode="json", exclude_none=True)}, notes=[]),
         answers=(Answer(_headline(score)),),
-        lead=(Plot(lambda: score_plate(score)), *_sentences(score)),
+        lead=(Plot(lambda: score_plate(score)), *_facts(score)),
         sections=(Section("statistics", "Statistics", (pairs("statistics", statistics),), brief=True),),
         files=files,
         data_file="score.json",
@@ -72,7 +72,7 @@ def _headline(score: Score) -> str:
     return f"{pixel_size(score.physics.pitch_um)} pixels, mean ΔE {mean}"
 
 
-def _sentences(score: Score) -> list[str]:
+def _facts(score: Score) -> list[Fact]:
     """Return what a reader should know of the score of a frame; nothing of other pictures."""
     if not isinstance(score, FrameScore):
         return []
@@ -82,7 +82,7 @@ def _sentences(score: Score) -> list[str]:
         *map(str, score.causes),
         *(f"{NOT_CONVERGED}: {words}" for words in unmet(score.light, score.light_limit)),
     ]
-    return [sentence(text) for text in texts]
+    return [Fact(text) for text in texts]
 
 
 def judged_by_delta_e(settings: Setting) -> bool:
