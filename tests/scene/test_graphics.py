@@ -145,7 +145,7 @@ def test_machine_without_driver_starts_nothing(fresh: pytest.MonkeyPatch, tmp_pa
     fresh.setattr(graphics, "attempt", lambda *_, **__: pytest.fail("started a process"))
     for path in (str(tmp_path / "nowhere.so"), "libcuda_of_no_machine.so.1"):
         fresh.setenv(graphics.DRIVER_VARIABLE, path)
-        assert graphics.verdict().fault == graphics.NO_DRIVER.format(path)
+        assert graphics.verdict().fault == f"the library of the NVIDIA driver cannot be loaded ({path})"
 
 
 # --- The process that starts the driver ---

@@ -36,7 +36,6 @@ PICTURE_S = 90.0  # the first picture on a card compiles everything
 FAILED_S = 86400.0  # before a failure is tried again
 KIND = "cards"
 NO_CARD = "no NVIDIA card is here (no /dev/nvidiactl)"
-NO_DRIVER = "the library of the NVIDIA driver cannot be loaded ({})"
 NEEDS = "Mitsuba needs a driver for CUDA 12.2 (535) or newer, but not 12.7 (565), with libnvoptix.so.1, and compute capability 7.5"
 NOT_CACHED = f"the cache cannot hold the result of a trial; --variant {CUDA} takes the card untried"
 
@@ -77,7 +76,7 @@ def absent() -> str | None:
     try:
         ctypes.CDLL(driver)  # which does not start it
     except OSError:
-        return NO_DRIVER.format(driver)
+        return f"the library of the NVIDIA driver cannot be loaded ({driver})"
     return None
 
 
@@ -85,7 +84,8 @@ def verdict(again: bool = False) -> GraphicsTrial:
     """Return whether the graphics card works, from the cache or a trial; `again`: in any case from a trial."""
     if fault := absent():
         return GraphicsTrial(fault)
-    if not again and not (cache.limit_bytes() and cache.can_hold(KIND)):
+    has_cache = cache.limit_bytes() > 0 and cache.can_hold(KIND)
+    if not again and not has_cache:
         return GraphicsTrial(NOT_CACHED)  # or each process, and each worker of a study, would try
 
     settings = [os.environ.get(name) for name in DRIVER_SETTINGS]
@@ -97,7 +97,8 @@ def verdict(again: bool = False) -> GraphicsTrial:
 
     fault = attempt(CUDA, limit_s=PICTURE_S).fault
     trial = GraphicsTrial(fault and f"its trial render fails: {fault.removesuffix('.')} ({NEEDS})", time.time())
-    cache.store_value(KIND, key, asdict(trial))
+    if has_cache:
+        cache.store_value(KIND, key, asdict(trial))
     if not again:
         passed = "the graphics card passed its trial: scenes are traced on it from now on, unless --variant is given"
         failed = f"the graphics card is not used: {trial.fault}; `pixsim doctor` tries it again"
