@@ -94,11 +94,12 @@ def _required() -> list[str]:
 def _llvm() -> Diagnosis:
     try:
         path, reason = variant.find_llvm()
-    except PixsimError as error:
-        return Diagnosis("LLVM", PROBLEM, str(error), f"unset {variant.LLVM_VARIABLE}")
+    except PixsimError as error:  # which says how to mend it
+        return Diagnosis("LLVM", PROBLEM, str(error))
     if path is None:
-        found = f"{reason}; renders take several times as long"
-        return Diagnosis("LLVM", NOTE, found, f"pip install {variant.LLVM_WHEEL}", {"path": None})
+        has_wheel = (sys.platform, platform.machine()) == ("linux", "x86_64")
+        mend = f"pip install {variant.LLVM_WHEEL}" if has_wheel else f"export {variant.LLVM_VARIABLE}=FILE"
+        return Diagnosis("LLVM", NOTE, f"{reason}; renders take several times as long", mend, {"path": None})
     return Diagnosis("LLVM", OK, f"{path} ({reason})", facts={"path": path})
 
 
@@ -115,8 +116,9 @@ def _test_render(limit_s: float) -> Diagnosis:
     facts = {**trial.facts, "seconds": trial.seconds}
     name = trial.facts.get("variant")
     if fault := trial.fault:
-        works_without = name != variant.SCALAR and attempt(variant.SCALAR, limit_s=limit_s).fault is None
-        mend = f"pixsim run csf --variant {variant.SCALAR}" if works_without else "pip install --force-reinstall mitsuba drjit"
+        mend = None if "refused" in facts else "pip install --force-reinstall mitsuba drjit"  # a refusal says how to mend it
+        if name != variant.SCALAR and attempt(variant.SCALAR, limit_s=limit_s).fault is None:
+            mend = f"pixsim run csf --variant {variant.SCALAR}"
         return Diagnosis("test render", PROBLEM, fault, mend, facts)
     found = (
         f"csf with {name}, {facts['threads']} threads: {facts['mean_lx']:.3f} lx, closed form {facts['expected_lx']:.3f} lx, "

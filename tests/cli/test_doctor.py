@@ -129,8 +129,8 @@ def test_llvm_invalid_variable_is_problem(tmp_path: Path, monkeypatch: pytest.Mo
     """`test_find_llvm_unusable_variable_raises` has all kinds."""
     monkeypatch.setenv(variant.LLVM_VARIABLE, str(tmp_path / "gone"))
     finding = doctor._llvm()
-    assert (finding.mark, finding.mend) == (PROBLEM, "unset DRJIT_LIBLLVM_PATH")
-    assert "no such file" in finding.found
+    assert finding.mark == PROBLEM
+    assert re.search("DRJIT_LIBLLVM_PATH: .*no such file.* Unset it", finding.found)
 
 
 # --- Mitsuba that fails, aborts, hangs, or is wrong ---
