@@ -86,7 +86,9 @@ def axes_document(result: CasesResult, regrets: Sequence[Regrets], warned: Colle
     alone = alone_table(result)
     films = [part.film for part in result.parts if part.film is not None]
     worst = max(films, key=lambda film: film.largest_delta_e, default=None)
-    facts = [*([alone] if alone.rows else []), *([Fact(film_words(worst.as_dict()))] if worst else [])]
+    facts: list[Block] = [alone] if alone.rows else []
+    if worst is not None:
+        facts.append(Fact(film_words(worst.as_dict())))
     data = cases_data(result, regrets) | {"counts": asdict(result.counts)}
     return replace(document_of(result, data, regrets, facts, warned), kind="study of several cases")
 

@@ -208,7 +208,7 @@ class StudyDrawing:
         self.figures = figures
         self.scene: list[Plot] = []
         self.maps: list[Plot] = []
-        self.sizes: Future[dict[float, SizeMaps]] | None = None
+        self.sizes: dict[float, Future[SizeMaps]] = {}
 
     def begin(self, study: StudyResult) -> None:
         """Begin with what follows from the light alone.
@@ -219,17 +219,19 @@ class StudyDrawing:
         self._thread.submit(html, Document("study", "", "", {}))  # which compiles the templates
         if study.study.paper:
             self.scene = [self.plot(draw, study) for draw in SCENE_FIGURES]
-            sizes = self._thread.submit(lambda: {pitch_um: size_maps(study, pitch_um) for pitch_um in FIGURE_6_PITCHES_UM})
-            self.sizes = sizes
-            self.maps = [self.plot(lambda draw=draw: draw(Evidence(study, {}, sizes.result()))) for draw in MAP_FIGURES]
+            self.sizes = {pitch_um: self._thread.submit(size_maps, study, pitch_um) for pitch_um in FIGURE_6_PITCHES_UM}
+            self.maps = [self.plot(self._map_figure, draw, study) for draw in MAP_FIGURES]
+
+    def _map_figure(self, draw: Callable[[Evidence], Plate], study: StudyResult) -> Plate:
+        return draw(Evidence(study, {}, {pitch_um: maps.result() for pitch_um, maps in self.sizes.items()}))
 
     def plot(self, draw: Callable[P, Plate], *args: P.args, **options: P.kwargs) -> Plot:
         """Return a figure that is drawn after those that wait."""
         return Plot(self._thread.submit(lambda: draw(*args, **options).drawn(self.figures)).result)
 
-    def has_begun_sizes(self) -> bool:
-        """Return whether the maps of the paper's sizes are made or being made; if not, workers make them faster."""
-        return self.sizes is not None and not self.sizes.cancel()
+    def begun_sizes(self) -> dict[float, Future[SizeMaps]]:
+        """Return the maps of sizes that are made or being made; workers make the others faster."""
+        return {pitch_um: maps for pitch_um, maps in self.sizes.items() if not maps.cancel()}
 
     def wait(self) -> None:
         """Wait for all figures."""
@@ -398,20 +400,20 @@ def study_page(
     """
     by_name = {curve.technology: curve for curve in result.curves}
     reference, paper = by_name.get(REFERENCE_TECHNOLOGY, result.curves[0]), result.study.paper
-    begun = drawing.has_begun_sizes()
+    begun = drawing.begun_sizes()
     first, *curves = [drawing.plot(draw) for draw in curve_figures(result, reference)]
     limits = drawing.plot(light_against_detail, result, reference)
     scene = drawing.scene or [drawing.plot(draw, result) for draw in SCENE_FIGURES if paper]
     if workers.jobs == 1:  # nothing else computes meanwhile
         drawing.wait()
 
-    sizes_um = FIGURE_6_PITCHES_UM if paper and not begun else ()
+    sizes_um = [pitch_um for pitch_um in FIGURE_6_PITCHES_UM if paper and pitch_um not in begun]
     views, best, sizes = pictures_of_workers(result, workers, sizes_um)
     judged = [curve for curve in result.curves if curve.has_delta_e]
     maps = [drawing.plot(pictures_plate, result, curve, part) for curve, part in zip(judged, best, strict=True)]
-    evidence = Evidence(result, by_name, drawing.sizes.result() if begun and drawing.sizes else sizes)
+    evidence = Evidence(result, by_name, sizes | {pitch_um: maps.result() for pitch_um, maps in begun.items()})
     rows = findings(evidence) if paper else []
-    further = drawing.maps if begun else [drawing.plot(draw, evidence) for draw in MAP_FIGURES if paper]
+    further = drawing.maps if begun and not sizes_um else [drawing.plot(draw, evidence) for draw in MAP_FIGURES if paper]
 
     brief = study_document(result)
     unstated = [UNSTATED] if all(curve.data_sheet for curve in result.curves) else []
