@@ -17,6 +17,7 @@ from pixsim.studies.dry_run import Cost, planned_run, planned_study
 from pixsim.studies.film_error import TOLERATED_SHARE
 from pixsim.studies.settings import Study
 from pixsim.studies.uncertainty import MOST_EVALUATIONS
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.setting import Effort, Run
 
 if TYPE_CHECKING:
@@ -86,7 +87,10 @@ def outline_document(command: str, outline: dict[str, Any], out: Path) -> Docume
     if types := outline.get("sensor_types"):
         rows.append(("types", f"{types} sensor types, each at up to {MOST_EVALUATIONS} sensors around the optimum"))
 
-    rows += [(name, settings_line(outline[name])) for name in ("display", "limits")]
+    display = Display.model_validate(outline["display"])
+    dots = f"{display.dots} dots across" if display.raster == "fixed_size" else "a dot for each pixel"
+    rows.append(("display", f"{dots}, {display.samples_per_deg:g} per degree"))
+    rows.append(("limits", settings_line(outline["limits"])))
     rows += [("output", f"{out}: nothing is written now"), ("cost", str(Cost(**outline["estimate"])))]
     return Document(command, "dry run", outline["scene"], outline, [f"{name:<8} {text}" for name, text in rows])
 

@@ -10,7 +10,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from pixsim.base.digits import estimate, exposure_time, percent, pixel_size, rounded, span, with_error
+from pixsim.base.digits import ROUNDING, estimate, exposure_time, percent, pixel_size, rounded, span, with_error
 from pixsim.base.notes import Note, warn
 from pixsim.base.progress import Progress
 from pixsim.base.schema import result_data
@@ -382,7 +382,8 @@ def metric_text(result: RunResult, metric: Metric) -> Text:
     if math.isnan(mean):  # a note says why
         return f"{metric.words} is not given"
     low, high = result.interval(values, metric.columns[0]) or (mean, mean)
-    value = with_error(mean, (high - low) / 2) if high > low else estimate(mean)
+    half = (high - low) / 2
+    value = with_error(mean, half) if half > ROUNDING * abs(mean) else estimate(mean)
     judged = f"one {metric.judges}" if values.size == 1 else f"the {metric.judges}"
     seen = f"; {threshold_words(result, mean)}" if metric is DETECTABILITY else ""
     return f"{metric.words} ", Strong(f"{value} {metric.unit}".rstrip()), f", of {judged}{seen}"
