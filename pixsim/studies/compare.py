@@ -44,7 +44,7 @@ from pixsim.studies.paired import Pairs
 from pixsim.studies.prepare import Types
 from pixsim.studies.sensors import PAIR, ComparisonJob, Match, SensorGroup, prepare
 from pixsim.studies.settings import Study, check_asked
-from pixsim.studies.table import CHECK, COLUMNS, ROWS_FILE, check_replaceable_results
+from pixsim.studies.table import CHECK, COLUMNS, ROWS_FILE, check_replaceable_results, is_as_written
 from pixsim.studies.uncertainty import FEW_SENSORS, TYPES_FILE, PairUncertainty, sample_of
 from pixsim.viewer.chain import make_chain
 from pixsim.viewer.dark_clip import dark_clip
@@ -137,19 +137,23 @@ def _rows_of(path: Path, kind: str) -> dict[tuple[object, ...], dict[str, float]
     """Return the numbers of the rows of results.csv by their places."""
     first_number = PIXEL_STATISTICS[0]
     rows: dict[tuple[object, ...], dict[str, float]] = {}
-    with path.open(newline="", encoding="utf-8") as file:
-        reader = csv.DictReader(file)
-        names = list(reader.fieldnames or ())
-        if names[:3] != list(COLUMNS[:3]) or first_number not in names:
-            raise invalid("results", f"'{path}'", "the rows of a study")
-        labels = names[names.index("repeat") + 1 : names.index(first_number)]
-        numbers = [name for name in names[names.index(first_number) :] if name not in (KEY, CHECK)]
-        for row in reader:
-            place: list[object] = [(name, row[name]) for name in labels]
-            # The sensor of a run is what is compared; the sizes of a comparison are those of its sensors.
-            place += [] if kind == "run" else [("technology", row["technology"])]
-            place += [("pitch_um", float(row["pitch_um"]))] if kind == "study" else []
-            rows[*place, ("repeat", int(row["repeat"]))] = {name: float(row[name] or "nan") for name in numbers}
+    head, *lines = path.read_text(encoding="utf-8").splitlines() or [""]
+    reader = csv.DictReader([head, *lines])
+    names = list(reader.fieldnames or ())
+    if names[:3] != list(COLUMNS[:3]) or first_number not in names:
+        raise invalid("results", f"'{path}'", "the rows of a study")
+    if not all(map(is_as_written, lines)):
+        hint = "Make it again, with its settings.toml."
+        raise invalid("results", f"'{path}', with a row that changed after pixsim wrote it", "rows as pixsim wrote them", hint)
+
+    labels = names[names.index("repeat") + 1 : names.index(first_number)]
+    numbers = [name for name in names[names.index(first_number) :] if name not in (KEY, CHECK)]
+    for row in reader:
+        place: list[object] = [(name, row[name]) for name in labels]
+        # The sensor of a run is what is compared; the sizes of a comparison are those of its sensors.
+        place += [] if kind == "run" else [("technology", row["technology"])]
+        place += [("pitch_um", float(row["pitch_um"]))] if kind == "study" else []
+        rows[*place, ("repeat", int(row["repeat"]))] = {name: float(row[name] or "nan") for name in numbers}
     return rows
 
 

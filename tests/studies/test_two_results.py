@@ -81,6 +81,11 @@ def test_a_folder_of_another_version_is_named_as_such(folders: dict[str, Path], 
     (tmp_path / LIST).write_text(json.dumps(provenance), encoding="utf-8")
     assert_refused(*command("compare", folders["quiet"], tmp_path), [f"'{tmp_path}', of pixsim 1.0.3", "Make it again"])
     (tmp_path / LIST).write_bytes((folders["quiet"] / LIST).read_bytes())
+    rows = (tmp_path / "results.csv").read_text(encoding="utf-8")
+    (tmp_path / "results.csv").write_text(rows.replace(",0,", ",3,", 1), encoding="utf-8")
+    assert_refused(
+        *command("compare", folders["quiet"], tmp_path), ["with a row that changed after pixsim wrote it", "Make it again"]
+    )
     (tmp_path / "results.csv").unlink()
     assert_refused(*command("compare", folders["quiet"], tmp_path), ["without results.csv"])
     (tmp_path / "score.json").unlink()
