@@ -92,7 +92,7 @@ def verdict_parts(result: Comparison, other: str, metric: Metric = DELTA_E) -> l
     other : name of the other one
     """
     film = result.film_of_pair(other) if metric.is_delta_e else 0.0
-    mean = " in the weighted mean" if result.groups()[0].first.condition else ""
+    mean = " on average" if result.groups()[0].first.condition else ""
     sentence = f"{pair_sentence(result.pairs(other, metric), film)}{mean} with match {result.job.match}"
     return [sentence, *(depends(result, other) if metric.is_delta_e else [])]
 

@@ -468,9 +468,9 @@ def test_compare_study_answers_with_the_weighted_mean(under_study: tuple[Path, s
     }  # fmt: skip
     assert found["shown_condition"] == "day"
     assert found["study"] == {"name": "both", "not_used": ["technologies"]}
-    answer, turn, head, _, _, common, *_ = out.splitlines()
+    answer, head, _, _, common, *_ = out.splitlines()
     assert answer.startswith("quiet ")
-    assert turn.startswith("  depends on the match: quiet is better with view, ")
+    assert "; depends on the match: quiet is better with view, " in answer
     assert "exposure in day" in head
     assert common.startswith(
         "the study both (not used: technologies); means over its conditions, with the weights never (0), day (0.75), night (0.25); "

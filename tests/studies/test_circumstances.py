@@ -85,7 +85,7 @@ def test_verdict_names_the_conditions_that_disagree(both: Comparison, monkeypatc
     monkeypatch.setattr(Comparison, "sign", lambda self, other, match=None, condition=None: signs[condition])
     places = "a is better in day (weight 0.75), b in night (weight 0.25)"
     assert f"depends on the condition: {places}" in depends(both, "b")
-    assert verdict_parts(both, "b")[0].endswith(" in the weighted mean with match view")
+    assert verdict_parts(both, "b")[0].endswith(" on average with match view")
 
 
 def test_one_condition_is_the_comparison_without_a_study(alone: list[Comparison], files: list[Path]) -> None:
