@@ -388,7 +388,8 @@ def map_along(grid: Grid, scale: Scale) -> Drawing:
         optima_um, inside = np.array([best.pitch_um for best in optima]), np.array([best.inside for best in optima])
         axes.plot(x, optima_um, color="white", lw=1.4 if scale.numeric else 0.0)
         for is_marked, face, edge in ((inside, "black", "white"), (~inside, "white", "black")):
-            axes.plot(x[is_marked], optima_um[is_marked], "o", ms=4.5, mfc=face, mec=edge, clip_on=False, zorder=5)
+            if is_marked.any():  # the layout gives a line without points, which is not clipped, room in the corner of the figure
+                axes.plot(x[is_marked], optima_um[is_marked], "o", ms=4.5, mfc=face, mec=edge, clip_on=False, zorder=5)
 
     of_rows = [curve for curve in curves for _ in sizes_um]
     pitch_um = sizes_um.tolist() * len(curves)

@@ -10,7 +10,7 @@ import numpy as np
 from pixsim.base.digits import rounded
 from pixsim.base.tables import Column, columns_of
 from pixsim.show.document import DocumentTable, Plot, Section
-from pixsim.show.figures import COLOURS, finish, new_figure
+from pixsim.show.figures import COLOURS, finish, literal, new_figure
 from pixsim.show.pages import Drawing, figure
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ ORDER = (
     "Each cause is switched off in the order of the table, and stays off. Variances add; parts of the mean ΔE depend on the order."
 )
 SHOWN = 6  # pixels in one figure
-BAR_IN, MARGIN_IN = 0.28, 1.1
+BAR_IN, MARGIN_IN, LEGEND_IN = 0.28, 1.1, 0.5
 
 
 def budget_numbers(budget: NoiseBudget) -> dict[str, tuple[float, float]]:
@@ -81,17 +81,22 @@ def budget_plate(budgets: Mapping[str, NoiseBudget]) -> Drawing:
     """Draw what each cause takes off the mean ΔE, and the electrons of each cause of noise, as bars."""
     shown = dict(list(budgets.items())[:SHOWN])
     causes = list(dict.fromkeys(cause for budget in shown.values() for cause in budget.delta_e))
-    figure = new_figure(8.6, MARGIN_IN + BAR_IN * len(causes))
+    figure = new_figure(8.6, MARGIN_IN + BAR_IN * len(causes) + LEGEND_IN * (len(shown) > 1))
     panels = figure.subplots(1, 2, sharey=True)
     height = 0.8 / len(shown)
     for number, (label, budget) in enumerate(shown.items()):
         at = np.arange(len(causes)) + (number - (len(shown) - 1) / 2) * height
         for axes, values in zip(panels, (budget.electrons_e, budget.delta_e), strict=True):
-            axes.barh(at, [values.get(cause, 0.0) for cause in causes], height, color=COLOURS[number % len(COLOURS)], label=label)
+            axes.barh(
+                at, [values.get(cause, 0.0) for cause in causes], height, color=COLOURS[number % len(COLOURS)], label=literal(label)
+            )
     panels[0].set_yticks(range(len(causes)), causes)
     panels[0].invert_yaxis()
     finish(panels[0], "noise (e- rms)", "", None)
-    finish(panels[1], "part of the mean ΔE", "", "best" if len(shown) > 1 else None)
+    finish(panels[1], "part of the mean ΔE", "", None)
+    if len(shown) > 1:
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=8)
     return figure, budget_columns(budgets)
 
 

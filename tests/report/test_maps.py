@@ -247,6 +247,16 @@ def test_numbers_fit_their_cells(plates: dict[str, Plate]) -> None:
             assert box.height < room[1]
 
 
+def test_maps_fill_their_figures() -> None:
+    """With optima inside and at an end: the layout leaves out what is not drawn. Two panels and a bar have 0.6 of the width."""
+    result = result_of(lambda at, *_: 100.0 if at["lens"] == 8.0 else 6.0, axis=[LENS, LIGHTS | {"values": [1.0, 10.0]}])
+    for plate in maps.axis_plates(result)[1::2]:
+        plate.figure.draw_without_rendering()
+        panels = [axes.get_position() for axes in plate.figure.axes[:-1]]
+        assert sum(panel.width for panel in panels[:2]) > 0.6
+        assert all(panel.height > 0.25 for panel in panels)
+
+
 # --- captions ---------------------------------------------------------------------------------------------------------
 
 LIGHTS = {"name": "light", "set": "scene.parameters.luminance_cd_per_m2", "values": [1.0, 10.0, 100.0]}
