@@ -18,8 +18,9 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.layers import Layer
 from pixsim.base.records import Record, as_list, checked
 from pixsim.base.toml import packaged
+from pixsim.cli.commands import app
 from pixsim.cli.help import COMMON, MANY
-from pixsim.cli.options import app, choices_of, complete_study, value_name
+from pixsim.cli.options import choices_of, complete_study, value_name
 from pixsim.optics.camera import CameraOptions
 from pixsim.scene.packaged import packaged_scenes
 from pixsim.sensor.exposure import Exposure
