@@ -354,14 +354,13 @@ def assumption(result: RunResult) -> str:
 
 
 def run_answer(result: RunResult) -> Answer:
-    """Return the answer of a run: the number of its first metric; below it what makes ΔE unsure, and what was run."""
+    """Return the answer of a run: the number of its first metric; below it what makes ΔE unsure, where that was asked for."""
     first, *_ = metrics_named(result.settings.metrics)
-    unsure = unsure_words(result) if judged_by_delta_e(result.settings) else []
-    return Answer(metric_text(result, first), (*unsure, *setup_words(result)))
+    return Answer(metric_text(result, first), unsure_words(result) if judged_by_delta_e(result.settings) else ())
 
 
 def facts(result: RunResult) -> Iterator[Block]:
-    """Yield what the other metrics say, and what there is of several sensors and frames."""
+    """Yield what the other metrics say, what there is of several sensors and frames, and what was run."""
     for metric in metrics_named(result.settings.metrics)[1:]:
         yield Fact(plain_text(metric_text(result, metric)))
     if result.interval_delta_e is not None:
@@ -371,6 +370,7 @@ def facts(result: RunResult) -> Iterator[Block]:
         yield Fact(f"{words}; pictures and frames are of the first")
     if (frames := result.prepared.frames) > 1:
         yield Fact(f"{frames} frames of this sensor: raw.exr to {raw_stem(frames)}.exr; the first is scored")
+    yield from map(Fact, setup_words(result))
 
 
 def metric_text(result: RunResult, metric: Metric) -> Text:

@@ -93,9 +93,7 @@ def test_mean_of_a_run_is_as_sure_as_it_looks(noise, film, shown, reasons):
     lines = unconverged(result.irradiance.header, result.rendered and result.rendered.film)
     assert len(lines) == bool(reasons)
     assert all(reason in line for line in lines for reason in reasons)
-    answer = run_answer(result)
-    assert plain_text(answer.head) == f"mean ΔE {shown}"
-    assert any(line.startswith("8 × 8 pixels") for line in map(plain_text, answer.below))
+    assert plain_text(run_answer(result).head) == f"mean ΔE {shown}"
 
 
 @pytest.mark.parametrize(
