@@ -188,8 +188,8 @@ def test_run_conflicting_options_raise(rendered, line, wanted, tmp_path, monkeyp
     assert not list(tmp_path.iterdir())
 
 
-def test_run_removes_files_of_earlier_run(rendered, tmp_path):
-    """Files of an earlier run are removed, except the irradiance that was read, and the user's own."""
+def test_page_of_a_run_names_its_own_files_alone(rendered, tmp_path):
+    """Files of an earlier run stay, as the user's own do."""
     folder, _ = rendered
     (tmp_path / "raw.npz").write_bytes(b"mine")
     here = f"{OPTIONS} --json --out {tmp_path}"
@@ -198,9 +198,6 @@ def test_run_removes_files_of_earlier_run(rendered, tmp_path):
     scored(f"run {tmp_path / 'irradiance.exr'} {here} --irradiance none")
     assert "irradiance.exr" not in (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "irradiance.exr" in {path.name for path in tmp_path.iterdir()}
-    assert "raw.tiff" not in {path.name for path in tmp_path.iterdir()}
-    scored(f"run {folder / 'irradiance.exr'} {here} --irradiance none")
-    assert "irradiance.exr" not in {path.name for path in tmp_path.iterdir()}
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert {name for name in ("raw.tiff", "raw.exr", "score.json") if f'href="{name}"' in page} == {"raw.exr", "score.json"}
     assert (tmp_path / "raw.npz").read_bytes() == b"mine"
@@ -216,19 +213,20 @@ def test_run_frames_share_the_sensor_and_have_noise_of_their_own(tmp_path):
     summaries = {}
     frames: dict[int, list] = {}
     for count in (1, 3, 2):
-        summaries[count] = scored(f"{line}/out --frames {count}")[0]
+        folder = tmp_path / f"out{count}"
+        summaries[count] = scored(f"{line}/out{count} --frames {count}")[0]
         names = [f"raw{number}" for number in ("", "_002", "_003")[:count]]
-        assert sorted(path.stem for path in (tmp_path / "out").glob("raw*.npz")) == names, "those of a run before are gone"
-        frames[count] = [pixsim.read_frame(tmp_path / "out" / f"{name}.npz") for name in names]
+        assert sorted(path.stem for path in folder.glob("raw*.npz")) == names
+        frames[count] = [pixsim.read_frame(folder / f"{name}.npz") for name in names]
         for name, frame in zip(names, frames[count], strict=True):
-            np.testing.assert_array_equal(pixsim.read_frame(tmp_path / "out" / f"{name}.exr").dn, frame.dn)
+            np.testing.assert_array_equal(pixsim.read_frame(folder / f"{name}.exr").dn, frame.dn)
     assert summaries[3].pop("frames") == 3
     assert summaries[2].pop("frames") == 2
     assert summaries[1] == summaries[2] == summaries[3]
     for few in (1, 2):
         for frame, same in zip(frames[few], frames[3], strict=False):
             np.testing.assert_array_equal(frame.dn, same.dn)
-    settings = (tmp_path / "out/settings.toml").read_text(encoding="utf-8")
+    settings = (tmp_path / "out2/settings.toml").read_text(encoding="utf-8")
     assert "--frames 2" in settings.splitlines()[1]
 
     pixel = pixsim.Pixel.model_validate(summaries[1]["pixel"])
@@ -287,10 +285,11 @@ def test_run_irradiance_option_sets_contents(tmp_path):
     """The result is the same, but for the frame of a file whose samples are larger."""
     y, x = np.indices((64, 2048))
     light = light_file(tmp_path / "wide.npz", 1.0 + (x // 3 + y) % 2, 1.0)
-    line = f"run {light} --camera.die-mm 2.048 --pixel.pitch-um 10 --display.dots 128 --json --out {tmp_path / 'out'} --irradiance"
-    scores, file = {}, tmp_path / "out/irradiance.exr"
+    line = f"run {light} --camera.die-mm 2.048 --pixel.pitch-um 10 --display.dots 128 --json"
+    scores = {}
     for content in ("full", "factors", "none", "reduced"):
-        score, err = scored(f"{line} {content}")
+        file = tmp_path / content / "irradiance.exr"
+        score, err = scored(f"{line} --irradiance {content} --out {tmp_path / content}")
         scores[content] = {name: score[name] for name in ("mean_delta_e", "mean_electrons_e", "irradiance")}
         assert ("holds its bands in full" in err) == (content == "factors")  # a cube of another program has no factors
         assert file.exists() == (content != "none")
