@@ -598,7 +598,7 @@ def _differences(result: Comparison, metric: Metric) -> DocumentTable:
     film_head = ["film's error, at most"] if metric.is_delta_e else []
     head = ("case", "sensors", "mean", "95 % interval", f"probability that {first} is better", *film_head)
     name = "mean ΔE" if metric.is_delta_e else metric.title
-    return DocumentTable(f"differences of {name}", head, rows, "" if metric.is_delta_e else name, words=(1,))
+    return DocumentTable(f"differences of {name}", head, rows, "" if metric.is_delta_e else name, words=(1,), stacks=True)
 
 
 def _settings(result: Comparison) -> list[Block]:

@@ -410,7 +410,7 @@ def test_compare_prints_answer(compared: tuple[Path, str]) -> None:
 def difference_cell(difference: float, interval: list[float]) -> str:
     """Return the cell of a page's table with a difference, as its interval allows."""
     low, high = interval
-    return f"<td>{difference_cells(difference, (low, high))[0]}</td>"
+    return f">{difference_cells(difference, (low, high))[0]}</td>"
 
 
 def test_compare_json_is_consistent_and_on_the_page(compared: tuple[Path, str]) -> None:
