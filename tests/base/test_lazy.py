@@ -23,7 +23,6 @@ values += scipy.fft.dct([1.0, 2.0, 4.0]).tolist() + scipy.ndimage.gaussian_filte
 values += [scipy.optimize.brentq(lambda x: x * x - 2, 0, 2)] + scipy.linalg.cholesky([[2.0, 1.0], [1.0, 3.0]]).ravel().tolist()
 import numpy, numpy.testing, numpy.f2py
 numpy.testing.assert_allclose(1.0, 1.0)
-loaded += ["numpy.ma.core"] * (sys.argv[1] == "command" and "numpy.ma.core" in sys.modules)
 values += [float(numpy.ma.masked_less([1.0, 2.0], 1.5).mean()), float(numpy.polynomial.Polynomial([1.0, 2.0])(3.0))]
 docs = [function.__doc__ for function in (scipy.special.ndtr, scipy.ndimage.gaussian_filter, scipy.optimize.brentq)]
 print(json.dumps([loaded, values, numpy.f2py.get_include() != "", numpy.testing is sys.modules["numpy.testing"], docs]))
