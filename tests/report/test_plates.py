@@ -30,14 +30,16 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.report.curve import delta_e_against_pitch
 from pixsim.report.paper import MAP_FIGURES, SCENE_FIGURES, figure_2a, figure_2b
 from pixsim.report.pictures import MAX_TICKS, picture_axes
-from pixsim.report.study import light_against_detail, optimum_against_technology
+from pixsim.report.study import light_against_detail, optimum_against_technology, study_drawing, study_page
 from pixsim.report.views import map_end, study_pictures
 from pixsim.scene.charts import DIE_MM
 from pixsim.sensor.motion_options import Motion
 from pixsim.show.figures import ISO_SMOOTHING_DOTS, label_axes, new_figure, own_style, svg_text
 from pixsim.show.pages import Plate
+from pixsim.show.render import html as page_html
 from pixsim.studies.claims import Evidence, dr_and_snr_db, growth_exponent, size_maps
 from pixsim.studies.design import pixel_of
+from pixsim.studies.engine import Workers
 from pixsim.studies.merit import detail_terms, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, system_mtf
 from pixsim.studies.optimum import Optimum
 from pixsim.studies.result import StudyResult
@@ -377,6 +379,20 @@ def test_workers_that_make_pictures_import_no_matplotlib(tiny_result: StudyResul
     joblib.dump(tiny_result, tmp_path / "result")
     command = [sys.executable, "-c", WORKER, str(tmp_path / "result")]
     assert subprocess.run(command, capture_output=True, text=True, check=True, timeout=300).stdout.split() == []
+
+
+def test_page_that_is_begun_while_workers_evaluate_is_the_same(tiny_result: StudyResult) -> None:
+    result = replace(tiny_result, study=tiny_result.study.model_copy(update={"paper": True}))
+    pages = []
+    for begins in (False, True):
+        with study_drawing() as drawing:
+            if begins:
+                drawing.begin(replace(result, curves=()))
+                drawing.wait()
+            pages.append(page_html(study_page(result, Workers(), drawing)))
+            assert all(maps.done() and not maps.cancelled() for maps in drawing.sizes.values())
+            assert len(drawing.sizes) == 4 * begins
+    assert pages[0] == pages[1]
 
 
 # --- files ------------------------------------------------------------------------------------------------------------
