@@ -70,7 +70,7 @@ def resolved(path: Path) -> Path:
     return path if real == Path(os.path.abspath(path)) else real
 
 
-STREAMS = {"/dev/stdout": "1", "/dev/stderr": "2"}
+STREAMS = "/dev/fd"  # the folder of the streams of this process; /dev/stdout leads to one of them
 
 
 def _open_stream(path: Path) -> IO[bytes] | None:
@@ -80,14 +80,21 @@ def _open_stream(path: Path) -> IO[bytes] | None:
 
     Raises PixsimError for anything else, as a disk, whose content would be lost; OSError if it cannot be opened.
     """
-    name = os.path.abspath(path.parent / os.readlink(path) if path.is_symlink() else path)
-    descriptor = STREAMS.get(name, name.removeprefix("/dev/fd/"))
-    if descriptor.isdecimal():  # which may be a file of the shell: the content goes where the shell stands in it
-        return os.fdopen(os.dup(int(descriptor)), "wb", buffering=0)
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
         return None
+
+    # A stream may be a file of the shell: the content goes where the shell stands in it. Its name is a link to that file.
+    streams = os.path.realpath(STREAMS)
+    link = path
+    while True:
+        if os.path.realpath(link.parent) == streams and link.name.isdecimal():
+            return os.fdopen(os.dup(int(link.name)), "wb", buffering=0)
+        if not link.is_symlink():
+            break
+        link = link.parent / os.readlink(link)
+
     if stat.S_ISFIFO(mode) or stat.S_ISCHR(mode):
         return path.open("wb", buffering=0)
     if not stat.S_ISREG(mode):

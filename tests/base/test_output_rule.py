@@ -111,6 +111,24 @@ def test_a_stream_of_this_process_gets_the_content_where_it_stands(name: str, tm
     assert (before, without_time(got), after, link.is_symlink()) == (b"before", content, b"after", True)
 
 
+@pytest.mark.parametrize("way", ["/dev/fd/{}", "/proc/self/fd/{}", "link to a link", "relative link"])
+def test_each_way_to_a_stream_of_this_process_is_one(way: str, tmp_path: Path) -> None:
+    """Where the file of the shell was replaced, all that the shell wrote was lost."""
+    with (tmp_path / "shell").open("wb", buffering=0) as file:
+        if way.startswith("/proc") and not Path("/proc/self/fd").is_dir():
+            pytest.skip("a system without /proc")
+        file.write(b"before ")
+        path = Path(way.format(file.fileno()))
+        if "link" in way:
+            path, first = tmp_path / "links/second.csv", tmp_path / "first.csv"
+            path.parent.mkdir()
+            path.symlink_to(first if way == "link to a link" else "../first.csv")
+            first.symlink_to(f"/dev/fd/{file.fileno()}")
+        rows_csv([{"a": 1}], path)
+        file.write(b"after")
+    assert (tmp_path / "shell").read_text().split() == ["before", "a", "1", "after"]
+
+
 def test_a_link_to_itself_is_refused(tmp_path: Path) -> None:
     (tmp_path / "x.exr").symlink_to("x.exr")
     with pytest.raises(PixsimError, match=r"x\.exr' \(Too many levels of symbolic links\)"):
