@@ -272,7 +272,7 @@ def entries(kind: str | None = None) -> list[CacheFile]:
     listed = []
     for path in _kinds():
         if path.name == kind or (kind is None and path.name not in HELPERS):
-            for file in path.iterdir():
+            for file in _children(path):
                 with suppress(OSError):  # another process has removed it
                     status = file.lstat()
                     helper = HELPERS.get(path.name)
@@ -283,9 +283,15 @@ def entries(kind: str | None = None) -> list[CacheFile]:
 
 def _kinds() -> list[Path]:
     """The folders of the cache that are no links."""
-    if not folder().is_dir():
+    return [path for path in _children(folder()) if path.is_dir() and not path.is_symlink()]
+
+
+def _children(path: Path) -> list[Path]:
+    """The files and folders in a folder; none where it is gone, or another user's who shares the cache but not this folder."""
+    try:
+        return list(path.iterdir())
+    except OSError:
         return []
-    return [path for path in folder().iterdir() if path.is_dir() and not path.is_symlink()]
 
 
 def trim() -> int:

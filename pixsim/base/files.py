@@ -174,8 +174,9 @@ def private_folder(name: str, quiet: bool = False) -> Path:
 
     quiet : whether another call has warned
 
-    Raises OSError if it cannot be made.
+    Raises OSError if it cannot be made, PixsimError on Windows.
     """
+    check_system()
     folder = cache_folder() / name
     folder.parent.mkdir(parents=True, exist_ok=True)
     with suppress(FileExistsError):

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import multiprocessing
 import os
 import re
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -306,6 +308,24 @@ def test_entries_are_removed_beside_other_files(folder):
     contents = add_foreign(folder / "kind")
     assert cache.clear() == len(contents["copy.json"])
     assert sorted(path.name for path in (folder / "kind").iterdir()) == sorted(contents)
+
+
+def test_a_folder_that_cannot_be_listed_is_passed_over(folder, monkeypatch):
+    """It is that of another user who shares the cache, or another process has just removed it; as root none is refused."""
+    cached(1.0)
+    cache.store_arrays("theirs", "key", CONTENT)
+    listed = Path.iterdir
+
+    def refused(path: Path) -> Iterator[Path]:
+        if path.name == "theirs":
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+        return listed(path)
+
+    monkeypatch.setattr(Path, "iterdir", refused)
+    monkeypatch.setenv(cache.LIMIT_VARIABLE, "1e-9")
+    assert [entry.kind for entry in cache.entries()] == ["kind"]
+    assert cache.trim() > 0
+    assert (folder / "theirs/key.npz").exists()
 
 
 @pytest.mark.parametrize("change", ["of another key", "of another kind", "behind a link", "in a linked folder"])
