@@ -17,7 +17,7 @@ import os
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields as dataclass_fields, replace
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
@@ -54,7 +54,6 @@ OUTLINE_STEPS, OUTLINE_REACH = (0.7, 0.85, 1.0, 1.15), 10.0  # of the distance t
 MIDDLE_STEPS = 3  # each finds a 20th of the one before: slivers of 1e-4 of a pupil
 SMOOTH_SPOKES = 64  # where only the stop cuts; 1e-6 of the area
 MAX_SPOKES = 4096
-QUICK_STEPS, QUICK_VALUE = 5, 1e-5  # times the step between edges, and of the width at an edge
 ROOT_STEPS, ROOT_WIDTH, ROOT_VALUE = 60, 1e-12, 1e-11  # of edges in direction cosines, and of field angles in degrees
 STEEPEST_DEG, FIELDS_TRIED = 89.0, 179
 WIDEST = 1e-8  # relative: an f-number in a few digits is the lens's own
@@ -62,7 +61,6 @@ FOCUS_STEP_MM = 1e-3
 FAINTEST_F_NUMBER = 1000.0  # with an Airy disc of 1.3 mm: what has a larger one is afocal but for rounding
 VIRTUAL = 0.01  # of the focal length: the image may lie as far in front of the last surface, as within a cover glass
 LIMIT_FIELDS, LIMIT_PER_DEG = 33, 10  # of the search for the largest field that can be traced, in tenths
-TOLD_FIELDS = 8  # from the axis to the largest, at which a note looks for light
 INSIDE = 1 + 1e-12  # of the stop's edge
 Bases = tuple[Array, Array]  # monomials odd in x, and those even in x
 
@@ -294,56 +292,22 @@ def _vignetting(lens: Lens, rows: tuple[Vignetting, ...]) -> tuple[tuple[float, 
     return tuple(found)
 
 
-@lru_cache(maxsize=32)
-def _notes_of_stopped_light(lens: Lens) -> tuple[Note, ...]:
+def _notes_of_stopped_light(lens: Lens) -> list[Note]:
     """Return notes on light that fixed semi-diameters and vignetting factors would stop, or do stop."""
     prescription, texts = lens.prescription, []
-    if not (prescription.fixed or lens.vignetting or prescription.spare_vignetting):
-        return ()
-    fields, own = _light(lens)
-
-    def words(other: Lens) -> str:
-        return _light_words(fields, own, _light(other)[1])
-
     if prescription.fixed:
-        surfaces = tuple(
-            replace(one, clips=one.clips or index in prescription.fixed) for index, one in enumerate(prescription.surfaces)
-        )
-        clipped = lens.with_same_rays(prescription=replace(prescription, surfaces=surfaces, fixed=()))
         texts.append(
-            f"fixed semi-diameters of {len(prescription.fixed)} surfaces stop no rays, since they are no apertures."
-            f' {words(clipped)} if they did: lens.semi_diameters = "clip"'
+            f"fixed semi-diameters of {len(prescription.fixed)} surfaces stop no rays, since they are no apertures;"
+            ' lens.semi_diameters = "clip" makes them stop rays'
         )
     if prescription.vignetting and lens.vignetting:
-        texts.append(
-            f"its vignetting factors are used. {words(lens.with_same_rays(vignetting=()))} without them: "
-            'lens.vignetting_factors = "ignore"'
-        )
+        texts.append('its vignetting factors are used; lens.vignetting_factors = "ignore" leaves them out')
     if prescription.spare_vignetting:
-        rows = _vignetting(lens, prescription.spare_vignetting)
         texts.append(
-            "its vignetting factors are not used, so that nothing is cut twice. "
-            f'{words(lens.with_same_rays(vignetting=rows))} with them: lens.vignetting_factors = "use"'
+            "its vignetting factors are not used, so that nothing is cut twice;"
+            ' lens.vignetting_factors = "use" applies them all the same'
         )
-    return tuple(Note("lens_as_read", lens=f"lens '{prescription.name}'", words=text) for text in texts)
-
-
-def _light(lens: Lens) -> tuple[Array, Array]:
-    """Return fields from the axis to the largest, and the light there as an area of directions."""
-    fields = np.linspace(0.0, lens.max_field_deg, TOLD_FIELDS + 1 if lens.max_field_deg else 1)
-    return fields, lens._outline(fields, np.full(fields.size, lens.primary_nm), SMOOTH_SPOKES, quick=True).area
-
-
-def _light_words(fields: Array, own: Array, changed: Array) -> str:
-    """Return the relative illumination of a lens and of another, at the largest field at which both have light."""
-    lit = np.flatnonzero((own > 0) & (changed > 0))
-    if not (own[0] and changed[0] and lit.size):
-        return "No light would reach the axis" if own[0] else "Light would reach the axis, which none does"
-    at = int(lit[-1])
-    beyond = f", and 0 from {fields[at + 1]:.4g}° on" if at + 1 < fields.size and own[at + 1] else ""
-    return (
-        f"Relative illumination would be {changed[at] / changed[0]:.3f}, not {own[at] / own[0]:.3f}, at {fields[at]:.4g}°{beyond}"
-    )
+    return [Note("lens_as_read", lens=f"lens '{prescription.name}'", words=text) for text in texts]
 
 
 @checked_methods
@@ -871,8 +835,8 @@ class Lens:
         _, fields, wavelengths = _conditions(field_deg, wavelength_nm)
         return self._outline(fields, wavelengths, spokes)
 
-    def _outline(self, field_deg: Array, wavelength_nm: Array, spokes: int, quick: bool = False) -> Outline:
-        """Return `outline`; a quick one, for notes, is within 1e-5 where no edge lies behind another."""
+    def _outline(self, field_deg: Array, wavelength_nm: Array, spokes: int) -> Outline:
+        """Return `outline` of fields and wavelengths in one line, (C,)."""
         chief = self._chief(field_deg, wavelength_nm)
         height, chief_cosine = chief.y[:, 0], chief.m[:, 0]
         angle = (np.arange(spokes // 2) + 0.5) * (2 * np.pi / spokes) - np.pi / 2  # the half with x > 0
@@ -895,7 +859,7 @@ class Lens:
         edge = np.where((edge > near) & (edge < horizon), edge, near)
         high = OUTLINE_STEPS[0] * edge
         above = excess(high)
-        further = (QUICK_STEPS if quick else 1) * (OUTLINE_STEPS[-1] - OUTLINE_STEPS[-2])
+        further = OUTLINE_STEPS[-1] - OUTLINE_STEPS[-2]
         for share in (*OUTLINE_STEPS[1:], *np.arange(OUTLINE_STEPS[-1], OUTLINE_REACH, further)[1:]):
             inside = (above <= 0) & (high < horizon)
             if not inside.any():
@@ -903,7 +867,7 @@ class Lens:
             low, below = np.where(inside, high, low), np.where(inside, above, below)
             high = np.where(inside, np.minimum(horizon, share * edge), high)
             above = np.where(inside, excess(high), above)
-        radius = np.where(dark[:, None], 0.0, _root(excess, low, below, high, above, QUICK_VALUE if quick else ROOT_VALUE))
+        radius = np.where(dark[:, None], 0.0, _root(excess, low, below, high, above))
         both = np.concatenate([radius, radius[:, ::-1]], axis=1)  # the mirror image: x < 0, from +y back to -y
         return Outline(np.stack([np.zeros_like(centre), centre], axis=-1), both, chief_cosine)
 
@@ -1250,18 +1214,15 @@ class Outline:
         return np.asarray(np.square(self.radius).mean(axis=1) * np.pi)
 
 
-def _root(
-    function: Callable[[Array], Array], low: Array, below: Array, high: Array, above: Array, enough: float = ROOT_VALUE
-) -> Array:
+def _root(function: Callable[[Array], Array], low: Array, below: Array, high: Array, above: Array) -> Array:
     """Return roots (...) of a function: regula falsi of Illinois; halving where it is infinite.
 
     low, high : brackets; where there is no sign change, an end of the last bracket is returned
     below, above : values there, at most 0 and above 0
-    enough : size of a value that is taken for 0
     """
     side, at, value = np.zeros(low.shape), low, below
     for _ in range(ROOT_STEPS):
-        going = (high - low > ROOT_WIDTH) & (np.abs(value) > enough)
+        going = (high - low > ROOT_WIDTH) & (np.abs(value) > ROOT_VALUE)
         if not going.any():
             break
         with np.errstate(all="ignore"):

@@ -174,7 +174,7 @@ def test_notes_of_a_file_are_told_by_every_command() -> None:
     code, out, err = command("lens", FIXED)
     assert code == 0
     assert note in err
-    assert f"\nnote: {note}. Relative illumination would be 0.082, not 0.639, at 17.5°, and 0 from 20° on if they did: " in out
+    assert f"\nnote: {note}; " in out
 
 
 def test_fields_without_light_have_a_dash(folder: Path) -> None:

@@ -493,9 +493,7 @@ def test_extended_asphere_that_programs_read_in_several_ways_is_refused(tmp_path
 
 def test_fixed_semi_diameters_clip_if_asked_to() -> None:
     fields = [0.0, 10.0, 15.0, 17.5, 20.0]
-    with pytest.warns(
-        UserWarning, match=r"fixed semi-diameters of 2 surfaces stop no rays.* 0.082, not 0.639, at 17.5°, and 0 from 20° on"
-    ):
+    with pytest.warns(UserWarning, match="fixed semi-diameters of 2 surfaces stop no rays"):
         open_ = wild("fixed.zmx")
     clipped, flaps = wild("fixed.zmx", semi_diameters="clip"), wild("same_with_flap.zmx")
     assert clipped.relative_illumination(fields) == pytest.approx(flaps.relative_illumination(fields), abs=1e-12)
@@ -535,7 +533,7 @@ def without_apertures(text: str) -> str:
 def test_vignetting_factors_stand_for_the_apertures_that_they_were_made_of(tmp_path: Path) -> None:
     """OpticStudio made those of the file from its clear apertures: an ellipse in the pupil for an intersection of discs."""
     apertures = pixsim.load_lens(DATA / "US00583336-2-scaled.zmx")
-    with pytest.warns(UserWarning, match=r"its vignetting factors are used. Relative illumination would be .* at 24° without them"):
+    with pytest.warns(UserWarning, match="its vignetting factors are used"):
         factors = load(tmp_path, without_apertures(ZMX))
     fields = [0.0, 17.0, 24.0]
     assert factors.relative_illumination(fields) == pytest.approx(apertures.relative_illumination(fields), abs=0.03)
@@ -554,9 +552,7 @@ def test_vignetting_factors_stand_for_the_apertures_that_they_were_made_of(tmp_p
 
 def test_vignetting_factors_beside_apertures_are_not_used_unless_asked_for() -> None:
     name = DATA / "US00583336-2-scaled.zmx"
-    with pytest.warns(
-        UserWarning, match=r"not used, so that nothing is cut twice. Relative illumination would be 0.426, not 0.427, at 24°"
-    ):
+    with pytest.warns(UserWarning, match="not used, so that nothing is cut twice"):
         plain = pixsim.load_lens(name)
     assert not plain.vignetting
     assert pixsim.load_lens(name, vignetting_factors="use").vignetting
