@@ -27,12 +27,12 @@ def adaptation_matrix(from_white_xyz: ArrayLike, to_white_xyz: ArrayLike, method
     from_white_xyz, to_white_xyz : (3,), in one unit; the first becomes the second
     method : "bradford", "cat02" (CIE 159:2004), or "none", which scales XYZ by the ratio of the luminances only
 
-    Raises PixsimError for another method or white, and for a white so saturated that the eye's responses to it are not above 0.
+    Raises PixsimError for a white so saturated that the eye's responses to it are not above 0.
 
     >>> adaptation_matrix([0.96422, 1.0, 0.82521], [0.95047, 1.0, 1.08883]).round(4)[0].tolist()  # ICC's D50 to D65
     [0.9556, -0.023, 0.0632]
     """
-    whites = [_white("from_white_xyz", from_white_xyz), _white("to_white_xyz", to_white_xyz)]
+    whites = [np.asarray(white, float) for white in (from_white_xyz, to_white_xyz)]
     if method == "none":
         return np.eye(3) * (whites[1][1] / whites[0][1])
     matrix = RESPONSES[method]
@@ -42,11 +42,3 @@ def adaptation_matrix(from_white_xyz: ArrayLike, to_white_xyz: ArrayLike, method
             allowed = f"a white to which all responses of {method} are above 0, here {response.round(4).tolist()}"
             raise invalid(name, white.tolist(), allowed, "Choose adaptation 'none' for nearly monochromatic light.")
     return np.asarray(np.linalg.solve(matrix, (responses[1] / responses[0])[:, None] * matrix))
-
-
-def _white(name: str, xyz: ArrayLike) -> Array:
-    """A white as an array (3,), checked."""
-    white = np.asarray(xyz, float)
-    if white.shape != (3,) or not (np.isfinite(white).all() and (white > 0).all()):
-        raise invalid(name, white.tolist(), "three finite numbers above 0, the XYZ of a white")
-    return white

@@ -20,12 +20,13 @@ A mean of distances is not smooth where a patch is right. It is minimised as √
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pixsim.base.arrays import Array, PositiveArray
+from pixsim.base.arrays import Array, NotNegativePicture, PositiveArray
+from pixsim.base.bounds import POSITIVE, Axes
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.light.spectral import colour_matching
 from pixsim.light.standard import CHROMATIC_PATCHES, illuminant as power_of, patch_reflectance
@@ -53,8 +54,8 @@ LAB_FROM_F = np.array([[0.0, 116.0, 0.0], [500.0, -500.0, 0.0], [0.0, 200.0, -20
 
 
 def colour_matrix(
-    wavelength_nm: PositiveArray,
-    sensitivities: Array,
+    wavelength_nm: Annotated[Array, POSITIVE, Axes(1)],
+    sensitivities: NotNegativePicture,
     illuminant: str = "D55",
     method: Literal["least_squares", "least_delta_e"] = "least_delta_e",
 ) -> Array:
@@ -94,7 +95,7 @@ def chart_xyz(wavelength_nm: PositiveArray, power: Array) -> tuple[Array, Array]
 
     Raises PixsimError for a lamp without light that the eye sees.
     """
-    weight = _lamp(wavelength_nm, power)[:, None] * colour_matching(wavelength_nm)
+    weight = power[:, None] * colour_matching(wavelength_nm)
     luminance = float(weight[:, 1].sum())
     if not luminance > 0:
         raise invalid("power", "a lamp without luminance", "light between 360 and 830 nm")
@@ -110,10 +111,7 @@ def chart_responses(wavelength_nm: PositiveArray, sensitivities: Array, power: A
 
     Raises PixsimError for a channel that does not respond to the lamp.
     """
-    lamp = _lamp(wavelength_nm, power)
-    if sensitivities.ndim != 2 or len(sensitivities) != len(lamp):
-        raise invalid("sensitivities, shape", sensitivities.shape, f"({len(lamp)}, channels)")
-    weight = lamp[:, None] * sensitivities
+    weight = power[:, None] * sensitivities
     white = weight.sum(axis=0)
     if not (white > 0).all():
         got = f"no response of channel {np.flatnonzero(~(white > 0)).tolist()} to the lamp"
@@ -132,15 +130,19 @@ def fit_matrix(
     method : least_squares, least_delta_e or noise_aware
     covariance : (P, C, C) of the responses to each patch, for noise_aware only
 
-    Raises PixsimError for arrays that do not belong together, negative responses or XYZ, a covariance that is missing, not
-    symmetric or has negative variances, and for fewer than three independent channels.
+    Raises PixsimError for fewer than three independent channels.
 
     >>> rgb = np.vstack([np.eye(3), 1 - np.eye(3)])
     >>> fit_matrix(rgb, rgb @ np.diag([0.9, 1.0, 1.1]), [0.9, 1.0, 1.1]).diagonal().round(6).tolist()
     [0.9, 1.0, 1.1]
     """
-    white = _checked_patches(responses, xyz, white_xyz)
-    noise = _checked_covariance(responses, method, covariance)
+    white = np.asarray(white_xyz, float)
+    sizes = np.linalg.svd(responses, compute_uv=False)
+    rank = int((sizes > RANK_TOLERANCE * sizes[0]).sum())
+    if rank < 3:
+        got = f"{responses.shape[1]} channels of rank {rank} over {len(responses)} patches"
+        hint = "The light tells too few channels apart. Choose a lamp with a broader spectrum, or other filters."
+        raise invalid("responses", got, "three or more independent channels", hint)
     if method == "least_squares":
         return np.asarray(np.linalg.lstsq(responses, xyz, rcond=RANK_TOLERANCE)[0].T)
     target = xyz / white
@@ -149,16 +151,16 @@ def fit_matrix(
     channels = responses.shape[1]
     # Rows of the matrix to X/Xn, Y/Yn, Z/Zn sum to 1, so that white is kept: 1/C plus what is orthogonal to (1, …, 1). Of that, the
     # fit turns combinations that are orthonormal over the patches and their noise: both may be large in one channel only.
-    seen = responses if noise is None else np.vstack([responses, _root(noise.sum(axis=0))])
+    seen = responses if covariance is None else np.vstack([responses, _root(covariance.sum(axis=0))])
     from_equal = seen.mean(axis=1, keepdims=True) * np.ones(3)
     orthogonal = np.linalg.svd(np.ones((1, channels)))[2][1:]
     basis, sizes, turns = np.linalg.svd(seen @ orthogonal.T, full_matrices=False)
-    kept = sizes > (RANK_TOLERANCE if noise is None else NOISE_TOLERANCE) * sizes[0]
+    kept = sizes > (RANK_TOLERANCE if covariance is None else NOISE_TOLERANCE) * sizes[0]
     basis, turns = basis[:, kept], turns[kept] / sizes[kept, None] @ orthogonal
-    wanted = target if noise is None else np.vstack([target, np.zeros((channels, 3))])
+    wanted = target if covariance is None else np.vstack([target, np.zeros((channels, 3))])
     free = (basis.T @ (wanted - from_equal)).ravel()
     patches = slice(0, len(target))
-    error = _MeanError(basis[patches], turns, from_equal[patches], target, noise)
+    error = _MeanError(basis[patches], turns, from_equal[patches], target, covariance)
     options: dict[str, Any] = {"gtol": 1e-5, "maxiter": 300}
     for smoothing in SMOOTHING_DELTA_E:
         found = minimize(error, free, args=(smoothing,), method="BFGS", jac=True, options=options)
@@ -222,12 +224,8 @@ def colour_errors(matrix: Array, responses: Array, xyz: Array, white_xyz: ArrayL
     """Return the ΔE*ab (CIE 1976) of each patch, (P,), behind a matrix (3, C).
 
     responses, xyz, white_xyz : (P, C), (P, 3) and (3,), of `fit_matrix`
-
-    Raises PixsimError for arrays that do not belong together.
     """
-    white = _checked_patches(responses, xyz, white_xyz)
-    if matrix.shape != (3, responses.shape[1]):
-        raise invalid("matrix, shape", matrix.shape, f"(3, {responses.shape[1]})")
+    white = np.asarray(white_xyz, float)
     return np.asarray(delta_e(xyz_to_lab(xyz, white), xyz_to_lab(responses @ matrix.T, white)))
 
 
@@ -248,10 +246,8 @@ def noise_gains(matrix: Array, white_xyz: ArrayLike, adaptation: Adaptation = "b
     white_xyz : (3,) of the lamp, in the unit of the matrix
     adaptation : of the lamp's white to the display's
 
-    Raises PixsimError for a matrix of another shape, and as `adaptation_matrix` does.
+    Raises PixsimError as `adaptation_matrix` does.
     """
-    if matrix.ndim != 2 or matrix.shape[0] != 3:
-        raise invalid("matrix, shape", matrix.shape, "(3, channels)")
     to_rgb = RGB_FROM_XYZ @ adaptation_matrix(white_xyz, WHITE_XYZ, adaptation) @ matrix
     return np.sqrt(np.square(to_rgb).sum(axis=1))
 
@@ -265,20 +261,10 @@ def check_noise_gains(matrix: Array, white_xyz: ArrayLike, adaptation: Adaptatio
         raise AlikeChannelsError(str(invalid("colour matrix", got, f"gains up to {MAX_NOISE_GAIN:g}", hint)))
 
 
-def _lamp(wavelength_nm: Array, power: Array) -> Array:
-    """The power of a lamp (B,), checked."""
-    lamp = np.asarray(power, float)
-    if wavelength_nm.ndim != 1 or lamp.shape != wavelength_nm.shape:
-        raise invalid("power, shape", lamp.shape, f"that of wavelength_nm, {wavelength_nm.shape}, one axis")
-    if not (np.isfinite(lamp).all() and (lamp >= 0).all()):
-        raise invalid("power", "numbers below 0 or not finite", "finite numbers not below 0")
-    return lamp
-
-
 def _on_standard_grid(wavelength_nm: Array, sensitivities: Array) -> Array:
     """Sensitivities (81, C) on the grid of the tables, checked; 0 outside the range that is given."""
     nm = wavelength_nm
-    if nm.ndim != 1 or nm.size < 2 or not (np.diff(nm) > 0).all():
+    if nm.size < 2 or not (np.diff(nm) > 0).all():
         raise invalid("wavelength_nm", f"an array of shape {nm.shape}", "wavelengths in increasing order, one axis")
     low, high = NEEDED_NM
     if nm[0] > low or nm[-1] < high:
@@ -287,49 +273,10 @@ def _on_standard_grid(wavelength_nm: Array, sensitivities: Array) -> Array:
     if nm[widest + 1] - nm[widest] > MAX_STEP_NM:
         got = f"a gap from {nm[widest]:g} to {nm[widest + 1]:g} nm"
         raise invalid("wavelength_nm", got, f"steps of at most {MAX_STEP_NM:g} nm", "Fill the gap, with 0 where it is dark.")
-    if sensitivities.ndim != 2 or len(sensitivities) != nm.size or sensitivities.shape[1] < 3:
+    if len(sensitivities) != nm.size or sensitivities.shape[1] < 3:
         allowed = f"({nm.size}, channels), three channels or more"
         raise invalid("sensitivities, shape", sensitivities.shape, allowed, "Move the channels last.")
-    if not (np.isfinite(sensitivities).all() and (sensitivities >= 0).all()):
-        raise invalid("sensitivities", "numbers below 0 or not finite", "finite numbers not below 0")
     largest = sensitivities.max()
     if not largest > 0:
         raise invalid("sensitivities", "0 everywhere", "a response of each channel")
     return np.stack([np.interp(STANDARD_NM, nm, curve, left=0.0, right=0.0) for curve in sensitivities.T / largest], axis=1)
-
-
-def _checked_patches(responses: Array, xyz: Array, white_xyz: ArrayLike) -> Array:
-    """The white (3,); raises PixsimError if the arrays of `fit_matrix` do not belong together."""
-    white = np.asarray(white_xyz, float)
-    if white.shape != (3,) or not (np.isfinite(white).all() and (white > 0).all()):
-        raise invalid("white_xyz", white.tolist(), "three finite numbers above 0")
-    if responses.ndim != 2 or xyz.shape != (len(responses), 3):
-        raise invalid("responses and xyz, shapes", f"{responses.shape} and {xyz.shape}", "(patches, channels) and (patches, 3)")
-    for name, values in ("responses", responses), ("xyz", xyz):
-        if not (np.isfinite(values).all() and (values >= 0).all()):
-            raise invalid(name, "numbers below 0 or not finite", "finite numbers not below 0")
-    sizes = np.linalg.svd(responses, compute_uv=False) if responses.size else np.zeros(1)
-    rank = int((sizes > RANK_TOLERANCE * sizes[0]).sum())
-    if rank < 3:
-        got = f"{responses.shape[1]} channels of rank {rank} over {len(responses)} patches"
-        hint = "The light tells too few channels apart. Choose a lamp with a broader spectrum, or other filters."
-        raise invalid("responses", got, "three or more independent channels", hint)
-    return white
-
-
-def _checked_covariance(responses: Array, method: Fit, covariance: Array | None) -> Array | None:
-    """The covariance of `fit_matrix` for noise_aware, checked; None for other methods."""
-    if (covariance is None) == (method == "noise_aware"):
-        got = f"{'none' if covariance is None else 'one'} for '{method}'"
-        raise invalid("covariance", got, "one for 'noise_aware', and none for other methods")
-    if covariance is None:
-        return None
-    patches, channels = responses.shape
-    if covariance.shape != (patches, channels, channels):
-        raise invalid("covariance, shape", covariance.shape, f"({patches}, {channels}, {channels})")
-    values = np.asarray(covariance, float)
-    diagonal = np.diagonal(values, axis1=1, axis2=2)
-    asymmetry = np.abs(values - np.swapaxes(values, 1, 2)).max()
-    if not (np.isfinite(values).all() and (diagonal >= 0).all() and asymmetry <= 1e-9 * diagonal.max()):
-        raise invalid("covariance", "numbers that are not finite, negative variances, or an asymmetry", "symmetric matrices")
-    return values

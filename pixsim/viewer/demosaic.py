@@ -115,7 +115,7 @@ def demosaic_covariance(
     >>> np.diag(demosaic_covariance("rggb", "bilinear", [1.0, 1.0, 1.0])).tolist()
     [0.5625, 0.625, 0.5625]
     """
-    cell, values = _checked_noise("variance", variance, pattern, method, dot_px, remosaiced)
+    cell, values = unit_cell(pattern), np.asarray(variance, float)
     if correlations is not None:
         own = _correlated(cell, method, dot_px, interpolation, remosaiced, products, correlations)
     else:
@@ -145,7 +145,7 @@ def demosaic_column_covariance(
     >>> demosaic_column_covariance("rggb", "bilinear", np.ones(3)).diagonal().tolist()  # G at R has 1/2, 1/4, 1/4 of three columns
     [0.75, 0.6875, 0.75]
     """
-    cell, values = _checked_noise("deviation", deviation, pattern, method, dot_px, remosaiced)
+    cell, values = unit_cell(pattern), np.asarray(deviation, float)
     own = _column_products(cell, method, dot_px, interpolation, remosaiced, products)
     return np.asarray(np.einsum("cdkl,...k,...l->...cd", own, values, values))
 
@@ -164,30 +164,12 @@ def demosaic_row_covariance(
 
     The arguments and the errors are those of `demosaic_column_covariance`, of which it is the transpose.
     """
-    cell, values = _checked_noise("deviation", deviation, pattern, method, dot_px, remosaiced)
+    cell, values = unit_cell(pattern), np.asarray(deviation, float)
     turned = tuple("".join(letters) for letters in zip(*cell, strict=True))
     place = [channels_of(turned).index(channel) for channel in channels_of(cell)]
     own = method, values[..., np.argsort(place)], dot_px, interpolation
     found = demosaic_column_covariance(turned, *own, remosaiced=remosaiced, products=products)
     return np.asarray(found[..., place, :][..., place])
-
-
-def _checked_noise(
-    name: str, noise: ArrayLike, pattern: str | Sequence[str], method: Method, dot_px: float | None, remosaiced: bool
-) -> tuple[tuple[str, ...], Array]:
-    """The unit cell, and the noise of its channels (..., C), checked."""
-    cell = unit_cell(pattern)
-    check_method(single_cell(cell) if remosaiced else cell, method)
-    if method == "menon2007":
-        hint = "Take the covariance of malvar2004 or bilinear in its place."
-        raise invalid("method", "'menon2007', which has no covariance in closed form", "bilinear, malvar2004, interpolate", hint)
-    values, count = np.asarray(noise, float), len(channels_of(cell))
-    if values.ndim == 0 or values.shape[-1] != count or not (np.isfinite(values).all() and (values >= 0).all()):
-        got = f"shape {values.shape}" if values.shape[-1:] != (count,) else "numbers below 0 or not finite"
-        raise invalid(name, got, f"(..., {count}), finite numbers not below 0, for channels {', '.join(channels_of(cell))}")
-    if dot_px is not None and not 1e-3 <= dot_px <= 1e3:
-        raise invalid("dot_px", f"{dot_px:g}", "0.001 to 1000 pixels, or None for the pixels themselves")
-    return cell, values
 
 
 def unit_cell(pattern: str | Sequence[str]) -> tuple[str, ...]:

@@ -31,7 +31,6 @@ def test_none_keeps_chromaticities_and_scales_luminance() -> None:
     assert (adaptation_matrix(A, D65, "none") == 100 * np.eye(3)).all()
 
 
-@pytest.mark.parametrize("white", [[1.0, 1.0], [1.0, 0.0, 1.0], [1.0, np.nan, 1.0], [[1.0, 1.0, 1.0]], [1e-3, 1.0, 5.0], 1.0])
-def test_invalid_white_raises(white: object) -> None:
+def test_white_without_a_response_raises() -> None:
     with pytest.raises(PixsimError, match="to_white_xyz"):
-        adaptation_matrix(A, white, "bradford")
+        adaptation_matrix(A, [1e-3, 1.0, 5.0], "bradford")

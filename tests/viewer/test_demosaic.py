@@ -210,22 +210,13 @@ def test_invalid_pattern_or_method_raises(pattern: object, method: str, says: st
     assert says in str(error.value)
 
 
-def test_invalid_mosaic_or_variance_raises() -> None:
+def test_invalid_mosaic_raises() -> None:
     with pytest.raises(PixsimError, match="unit cell of 4 × 4"):
         demosaic(np.ones((4, 3)), QUAD, "interpolate")
     with pytest.raises(PixsimError, match="mosaic: got 1 values that are not finite"):
         demosaic(np.where(np.eye(3) * [1, 0, 0], np.nan, 1.0), "rggb")
     with pytest.raises(PixsimError, match="too large"):
         demosaic(np.full((4, 4), -1e301), "rggb", "malvar2004")
-    for variance, says in ([1.0, 2.0], "R, G, B"), ([1.0, -1.0, 0.0], "below 0"), (1.0, "shape"):
-        with pytest.raises(PixsimError, match=says):
-            demosaic_covariance("rggb", "bilinear", variance)
-    with pytest.raises(PixsimError, match="no covariance in closed form"):
-        demosaic_covariance("rggb", "menon2007", np.ones(3))
-    with pytest.raises(PixsimError, match=r"deviation: got shape \(2,\).*R, G, B"):
-        demosaic_column_covariance("rggb", "bilinear", [1.0, 2.0])
-    with pytest.raises(PixsimError, match="dot_px: got 0"):
-        demosaic_covariance("rggb", "bilinear", np.ones(3), 0.0)
 
 
 def test_names_of_channels_are_in_the_order_r_g_b_then_others() -> None:
