@@ -32,18 +32,6 @@ class Directions:
     weight: Array
     chief_cosines: Array
 
-    def __post_init__(self) -> None:
-        """Raise PixsimError if shapes differ, a cosine is at or beyond the horizon, or weights are negative or add up to 0."""
-        points, rays = self.weight.shape[:-1], self.weight.shape
-        if self.cosines.shape != (*rays, 2) or self.chief_cosines.shape != (*points, 2) or not rays or not rays[-1]:
-            got = f"shapes {self.cosines.shape}, {self.weight.shape} and {self.chief_cosines.shape}"
-            expected = "(..., rays, 2) cosines, (..., rays) weights and (..., 2) chief_cosines, with at least one ray"
-            raise invalid("cosines, weight and chief_cosines", got, expected)
-        if not all(np.all(np.square(cosines).sum(axis=-1) < 1) for cosines in (self.cosines, self.chief_cosines)):
-            raise invalid("cosines", "those of a ray at or beyond the horizon, or NaN", "sx² + sy² < 1")
-        if not (np.all(self.weight >= 0) and np.all(np.isfinite(self.weight)) and np.all(self.weight.sum(axis=-1) > 0)):
-            raise invalid("weight", "values that are negative, not finite or all 0", "finite weights with a positive sum")
-
     @property
     def shares(self) -> Array:
         """Weights relative to their sum, (..., rays)."""

@@ -24,14 +24,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import sici
 
 from pixsim.base.arrays import Array, Finites, Positives
-from pixsim.base.bounds import NotNegative, Positive
+from pixsim.base.bounds import Bounds, Positive
 from pixsim.base.errors import invalid
 from pixsim.optics.pupil import Directions, Pupil, disc_pupil, numerical_aperture
 from pixsim.optics.quantities import FNumberOrPinhole
@@ -68,12 +68,7 @@ class Stack:
     refraction: Literal["exact", "paraxial"] = "exact"
 
     def __post_init__(self) -> None:
-        """Raise PixsimError if a number is out of its range, or if a microlens would break the limit of étendue."""
-        for name in ("pitch_um", "photodiode_side_um", "height_um"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise invalid(name, f"{getattr(self, name):g}", "a finite number above 0")
-        if not 1 <= self.index < math.inf:
-            raise invalid("index", f"{self.index:g}", "a finite number not below 1, the refractive index of air")
+        """Raise PixsimError if lengths do not fit each other, or if a microlens would break the limit of étendue."""
         if self.photodiode_side_um > self.pitch_um:
             expected = f"at most the pitch, pitch_um = {self.pitch_um:g}"
             raise invalid("photodiode_side_um", f"{self.photodiode_side_um:g}", expected, "A photodiode lies within its pixel.")
@@ -136,7 +131,7 @@ def stack_collection(
     pitch_um: Positive,
     photodiode_side_um: Positive,
     height_um: Positive,
-    index: NotNegative,
+    index: Annotated[float, Bounds(1)],
     *,
     f_number: FNumberOrPinhole,
     chief_ray_deg: float = 0.0,

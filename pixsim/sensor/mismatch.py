@@ -12,7 +12,6 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.bounds import NotNegative, Positive
-from pixsim.base.errors import invalid
 
 ELECTRON_C = 1.602176634e-19  # SI 2019, exact
 E_PER_FC = 1e-15 / ELECTRON_C
@@ -81,15 +80,6 @@ class DarkSpread:
     hot_fraction: float = 0.0
     hot_median: float = 1.0
     hot_spread: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Raise PixsimError if a number is not finite or out of its range."""
-        ranges = {"dsnu": (0.0, 1e3), "hot_fraction": (0.0, 1.0), "hot_median": (0.0, 1e9), "hot_spread": (0.0, 5.0)}
-        for name, (low, high) in ranges.items():
-            if not low <= (value := getattr(self, name)) <= high:
-                raise invalid(name, f"{value:g}", f"{low:g} to {high:g}")
-        if not self.ordinary_mean < math.inf:
-            raise invalid("hot_median", f"{self.hot_median:g}", "above 0 if all pixels are hot")
 
     @property
     def ordinary_mean(self) -> float:

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 from scipy.sparse import csr_array
 
-from pixsim.base.arrays import STRIP_DOTS, Array, Finites, NumberArray, Picture, Row, strips, transposed
+from pixsim.base.arrays import STRIP_DOTS, Array, Finites, NumberArray, Picture, PositiveArray, Row, strips, transposed
 from pixsim.base.bounds import Bounds, Count, NotNegative, Positive
 from pixsim.base.caller import setting
 from pixsim.base.digits import amount
@@ -50,7 +50,6 @@ from pixsim.viewer.imaging import Imaging
 # Grey on a D65 display: XYZ is relative luminance times this (CIE 15, 2-degree observer, Y = 100).
 FAINTEST = Bounds(math.ulp(0.0))  # light may be however faint
 Electrons = Annotated[float, FAINTEST]
-ElectronsOfChannels = Annotated[Array, FAINTEST]
 AxisNumber = Annotated[int, Bounds(0, 1)]
 Degree = Annotated[int, Bounds(0, 5)]
 WHITE_XYZ = np.array([95.047, 100.0, 108.883])
@@ -245,17 +244,8 @@ def average_axis(values: Array, pitch_um: Positive, low_um: float, edges_um: Row
     degree : of the interpolating spline: 0 (piecewise constant), 1, 3 or 5
     axis : 0 or 1
 
-    Raises PixsimError if there is no such axis, or if the edges do not increase.
+    Raises PixsimError if the edges do not increase.
     """
-    if axis >= values.ndim or not values.size:
-        raise invalid("values", f"an array of shape {values.shape}", f"one with an axis {axis}, not empty")
-    return _average_axis(values, pitch_um, low_um, edges_um, degree, axis)
-
-
-def _average_axis(values: Array, pitch_um: float, low_um: float, edges_um: Array, degree: int, axis: int) -> Array:
-    """Return `average_axis` of an array that has the axis."""
-    if edges_um.ndim != 1 or edges_um.size < 2:
-        raise invalid("edges_um", f"an array of shape {edges_um.shape}", "two edges or more along one axis")
     lines = values.swapaxes(0, axis)
     degree = min(degree, len(lines) - 1)
     if degree < 2:
@@ -278,7 +268,7 @@ def _average_axis(values: Array, pitch_um: float, low_um: float, edges_um: Array
 def _edges_in_cells(edges_um: Array, pitch_um: float, low_um: float) -> Array:
     """Return edges in units of cells, 0 in the centre of the first one. Raises PixsimError if they do not increase."""
     edges = (edges_um - low_um) / pitch_um - 0.5
-    if not np.all(np.diff(edges) > 0):
+    if edges.size < 2 or not np.all(np.diff(edges) > 0):
         got = f"intervals that do not increase in cells of pitch_um = {pitch_um:g} from low_um = {low_um:g}"
         raise invalid("edges_um", got, "increasing edges")
     return edges
@@ -379,7 +369,7 @@ def frame_luminance(
     white_e: Electrons,
     display: Display,
     edges_um: tuple[Row, Row],
-    shading: Array | None = None,
+    shading: PositiveArray | None = None,
     *,
     single: bool = False,
 ) -> Array:
@@ -401,21 +391,18 @@ def frame_luminance(
 
 
 def relative_to_white(
-    picture: Picture, frame: Frame, white_e: Electrons, shading: Array | None = None, *, single: bool = False
+    picture: Picture, frame: Frame, white_e: Electrons, shading: PositiveArray | None = None, *, single: bool = False
 ) -> Array:
     """Return electrons over those of white, without shading, (rows, columns), in which the given ones are overwritten.
 
     picture : (rows, columns) electrons of a frame's pixels
     frame : of which they are
     white_e, shading, single : as of `frame_luminance`
-
-    Raises PixsimError if the shading is not one of positive numbers for the frame's pixels.
     """
     picture /= white_e
     if shading is not None:
-        if shading.shape != picture.shape or not np.all(shading > 0):
-            got = f"an array {shading.shape}" + (" with values that are not above 0" if shading.shape == picture.shape else "")
-            raise invalid("shading", got, f"positive values for each of the {picture.shape} pixels")
+        if shading.shape != picture.shape:
+            raise invalid("shading", f"an array {shading.shape}", f"a value for each of the {picture.shape} pixels")
         picture /= shading
     return picture.astype(np.float32) if single and fits_single(frame, white_e) else picture
 
@@ -449,7 +436,7 @@ def on_dots(
     for axis in (0, 1) if picture.shape[1] > display.dots else (1, 0):
         low_um = first_edge_um(size_um[axis], picture.shape[axis], pitch_um, registration[axis])
         degree = SPLINE_DEGREE[display.interpolation]
-        picture = _average_axis(picture, pitch_um, low_um, edges_um[axis], degree, axis)
+        picture = average_axis(picture, pitch_um, low_um, edges_um[axis], degree, axis)
     return picture
 
 
@@ -528,7 +515,7 @@ def rgb_to_xyz(rgb: Array) -> Array:
 
     Raises PixsimError for another shape.
     """
-    planes = np.moveaxis(_of_three("rgb", rgb), -1, 0)
+    planes = _planes_of(rgb)
     dtype = np.float32 if rgb.dtype == np.float32 else float
     result: Array = np.empty_like(rgb, dtype=dtype)  # planes stay planes in memory
     # Not by BLAS, whose rounding depends on the number of threads.
@@ -544,7 +531,7 @@ def out_of_gamut_share(rgb: Array) -> float:
 
     rgb : light of the primaries, relative
     """
-    planes = np.moveaxis(_of_three("rgb", rgb), -1, 0)
+    planes = _planes_of(rgb)
     tolerance = SINGLE_GAMUT_TOLERANCE if rgb.dtype == np.float32 else GAMUT_TOLERANCE
     relative, outside = (XYZ_FROM_RGB[1] / WHITE_XYZ[1]).tolist(), 0
     for rows in strips(planes.shape[1], math.prod(planes.shape[2:])) if planes.ndim > 1 else [...]:
@@ -557,7 +544,8 @@ def out_of_gamut_share(rgb: Array) -> float:
     return outside / planes[0].size
 
 
-def _of_three(name: str, values: Array) -> Array:
-    if values.ndim == 0 or values.shape[-1] != 3 or not values.size:
-        raise invalid(f"{name}, shape", values.shape, "(..., 3), not empty", "Move the three values last.")
-    return values
+def _planes_of(rgb: Array) -> Array:
+    """Return the planes of colours (..., 3), first. Raises PixsimError for another shape."""
+    if rgb.shape[-1:] != (3,) or not rgb.size:
+        raise invalid("rgb, shape", rgb.shape, "(..., 3), not empty", "Move the three values last.")
+    return np.moveaxis(rgb, -1, 0)

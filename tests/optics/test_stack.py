@@ -385,19 +385,6 @@ def test_invalid_stacks_raise_errors_that_name_number_and_limit(wrong, message):
         optics.stack_collection(**good | wrong)
 
 
-def test_invalid_directions_raise():
-    rays, weight = np.zeros((3, 2)), np.ones(3)
-    for wrong in (
-        (rays, weight[:2], AXIS),
-        (rays[:0], weight[:0], AXIS),
-        (rays + 0.8, weight, AXIS),
-        (rays, -weight, AXIS),
-        (rays, 0 * weight, AXIS),
-    ):
-        with pytest.raises(PixsimError, match=r"(cosines|weight).*: got"):
-            Directions(*wrong)
-
-
 def test_rays_of_wide_pixels_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     """Shares of pixels with more turns of phase than are resolved: right to 1e-6, and nothing is lost by pixels of 10 cm."""
     wide = Stack(100.0, 70.0, 150.0, 1.5)

@@ -81,14 +81,6 @@ def test_drop_v_deep_forward_bias_inverts_charge():
     np.testing.assert_allclose(diode.charge_e(diode.reset_voltage_v, diode.drop_v(charge)), charge, rtol=1e-12)
 
 
-@pytest.mark.parametrize(("name", "value"), [("pb_v", 0.0), ("temperature_k", -1.0), ("area_um2", math.nan), ("mj", 1.0)])
-def test_diode_invalid_values_raise(name, value):
-    with pytest.raises(PixsimError, match="diode"):
-        replace(default_diode(), **{name: value})
-    with pytest.raises(PixsimError, match="some capacitance"):
-        replace(default_diode(), area_um2=0.0, perimeter_um=0.0, node_capacitance_ff=0.0)
-
-
 # --- Collected charge ---
 
 

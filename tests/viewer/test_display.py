@@ -521,7 +521,7 @@ def test_shown_luminance_in_place_overwrites_whole_arrays_only(dtype):
 @pytest.mark.parametrize("edges_um", [np.ones((2, 3)), np.zeros(0), np.array(1.0), np.array([1.0]), np.array([0.0, 2.0, 1.0])])
 def test_on_dots_invalid_edges_raise(edges_um):
     with pytest.raises(PixsimError, match=r"edges_um(\[1\])?: got"):
-        displays.on_dots(np.ones((4, 4)), 1.0, (4.0, 4.0), Display(), (np.arange(5.0), edges_um))
+        pixsim.display.on_dots(np.ones((4, 4)), 1.0, (4.0, 4.0), Display(), (np.arange(5.0), edges_um))
 
 
 @pytest.mark.parametrize("gamma", [0.01, 0.1, 1.0, 10.0, 100.0])
