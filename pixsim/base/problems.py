@@ -14,7 +14,6 @@ from pydantic_core import ErrorDetails
 
 from pixsim.base.errors import PLAIN_WORD, did_you_mean, excerpt, quoted
 from pixsim.base.layers import Layer
-from pixsim.base.units import hint_of_length, hint_of_unit
 
 RECORDS: dict[str, type[BaseModel]] = {}  # by their names, which pydantic's errors have as titles
 
@@ -25,13 +24,11 @@ class Words:
 
     also : other words for it; those of several fields mean any of them
     instead : such a word, also the field's own name in another table -> what a message says of it, in place of the names
-    before : pattern of what may stand before a number, as f/ does
     hint : returns how to write a value, from the path of a name in the field (empty for the field itself) and the value; or ""
     """
 
     also: tuple[str, ...] = ()
     instead: Mapping[str, str] = field(default_factory=dict)
-    before: str = ""
     hint: Callable[[Sequence[str], Any], str] = lambda path, value: ""
 
 
@@ -94,7 +91,10 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer], listed: se
         message = f"a table of {', '.join(names_at(title, path))}" if names_at(title, path) else "a table"
     value = _value(problem["input"], layer)
     value = value if len(value) <= MAX_VALUE else value[:MAX_VALUE] + "…"
-    hint = _hint(title, path, problem["input"], problem["type"])
+    asked = problem["input"]
+    if problem["type"].startswith(("greater_than", "less_than")) and isinstance(asked, str):  # of a command line
+        asked = float(asked)
+    hint = _hint(title, path, asked)
     return f"{where}: got {value}; allowed: {message.removeprefix('input should be ')}.{hint and ' '}{hint}"
 
 
@@ -130,16 +130,10 @@ def _hint_of_name(title: str, above: list[str], name: str) -> str:
     return (above and meant and words_of(_field(title, meant[0])).instead.get(name)) or hint
 
 
-def _hint(title: str, path: Sequence[str], value: Any, fault: str) -> str:
-    """How to write a value that was meant well; empty for others.
-
-    fault : Pydantic's name of the problem
-    """
-    name, before = path[-1] if path else "", words_of(_field(title, path)).before
-    if fault.startswith(("greater_than", "less_than")) and isinstance(value, str):  # of a command line
-        value = float(value)
+def _hint(title: str, path: Sequence[str], value: Any) -> str:
+    """How to write a value that was meant well, as the fields at a path and above it say; empty for others."""
     around = (words_of(_field(title, path[:depth])).hint(path[depth:], value) for depth in range(len(path), 0, -1))
-    return hint_of_length(name, value, fault) or next(filter(None, around), "") or hint_of_unit(name, value, fault, before)
+    return next(filter(None, around), "")
 
 
 def _value(value: object, layer: Layer | None) -> str:

@@ -25,7 +25,7 @@ CORNER_ROUNDING = 1e-6  # of the image height: a table may end at the corner, ro
 
 
 OF_VEIL = "veiling_glare", "veiling_glare_outside"  # of `Camera`
-F_NUMBER, IN_PIXELS = Words(before="f/?"), Words(also=("pixels",))
+IN_PIXELS = Words(also=("pixels",))
 # Usual words for the columns and rows of a sensor, or of a display.
 SIZES = "resolution", "pixel_count", "image_size", "width", "height", "columns", "rows"
 PIXELS_OR_FILM = (
@@ -49,9 +49,7 @@ class Camera(Record):
     """
 
     focal_length_mm: FocalLength = Field(3.86, description="focal length")
-    f_number: Annotated[FNumber, F_NUMBER] = Field(
-        4.0, description="nominal f-number: focal length over the diameter of the entrance pupil"
-    )
+    f_number: FNumber = Field(4.0, description="nominal f-number: focal length over the diameter of the entrance pupil")
     die_mm: Annotated[DieWidth, IN_PIXELS] = Field(2.7136, description="width of the die")
     die_height_mm: Annotated[DieWidth | None, IN_PIXELS] = Field(
         None, description="height of the die (absent: that of a square die, die_mm)"
@@ -313,7 +311,7 @@ class CameraOptions(Record):
     """Camera fields that replace those of the scene; None keeps the value of the scene."""
 
     focal_length_mm: FocalLength | None = Field(None, description=Camera.model_fields["focal_length_mm"].description)
-    f_number: Annotated[FNumber | None, F_NUMBER] = Field(None, description=Camera.model_fields["f_number"].description)
+    f_number: FNumber | None = Field(None, description=Camera.model_fields["f_number"].description)
     die_mm: Annotated[DieWidth | None, IN_PIXELS] = Field(None, description=Camera.model_fields["die_mm"].description)
     die_height_mm: Annotated[DieWidth | None, IN_PIXELS] = Field(None, description=Camera.model_fields["die_height_mm"].description)
     pixels: Annotated[PixelCount | None, Words(also=SIZES, instead={"resolution": PIXELS_OR_FILM})] = Field(

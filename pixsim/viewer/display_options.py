@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from pixsim.base.caller import setting
 from pixsim.base.problems import Words
 from pixsim.base.records import Record
 from pixsim.light.quantities import Fraction
@@ -24,11 +23,6 @@ def display_excluded_by(given: Iterable[str]) -> set[str]:
     """Return the fields of a display that say what its white is in other words than those in `given`."""
     stated = set(WHITES).intersection(given)
     return set(WHITES) - stated if stated else set()
-
-
-def _hint_of_white(path: Sequence[str], value: object) -> str:
-    """Return where a number is stated that was given for `Display.white`."""
-    return f"A luminance of the scene is {setting('display.white_cd_per_m2')}, a radiance {setting('display.white_w_per_m2_sr')}."
 
 
 class Display(Record):
@@ -56,7 +50,7 @@ class Display(Record):
         description="scene radiance shown as display white, of light that nobody sees, such as infrared (absent: white of the "
         "scene's emissive chart)",
     )
-    white: Annotated[Literal["diffuser"] | None, Words(hint=_hint_of_white)] = Field(
+    white: Literal["diffuser"] | None = Field(
         None,
         description="'diffuser': display white is a white plate at the object's distance that faces the lens, in the light of the "
         "scene; of an emissive chart texel value 1 (absent: a luminance or radiance, as above, or what the scene states)",

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Annotated, Any, Self
 
 from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
@@ -29,19 +28,7 @@ from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricNames, MetricOpti
 Seed = Annotated[int, Field(ge=0, lt=2**63)]  # as TOML holds
 
 
-def _hint_of_pixels(path: Sequence[str], value: object) -> str:
-    """What to say of a pair of numbers in place of the film's width."""
-    return PIXELS_OR_FILM if not isinstance(value, int | float) and re.search(r"\d\D+\d", str(value)) else ""
-
-
-def _hint_of_range(path: Sequence[str], value: object) -> str:
-    """How to write a range of a pixel's number."""
-    if not (path and isinstance(value, list | tuple) and len(value) == 2):
-        return ""
-    return f"A range of what is not known: [pixel.uncertainty] {path[-1]} = {{ range = {list(value)} }}; several values: --axis."
-
-
-OF_PIXEL = Words(also=("sensor",), hint=_hint_of_range)
+OF_PIXEL = Words(also=("sensor",))
 
 
 class Effort(Record):
@@ -56,7 +43,7 @@ class Effort(Record):
     render_noise: Annotated[float, Field(ge=1e-6, le=1e6)] = Field(
         0.2, description="largest render noise, as a fraction of the sensor's temporal noise"
     )
-    resolution: Annotated[FilmSamples | None, Words(instead={"resolution": PIXELS_OR_FILM}, hint=_hint_of_pixels)] = Field(
+    resolution: Annotated[FilmSamples | None, Words(instead={"resolution": PIXELS_OR_FILM})] = Field(
         None, description="film samples across the die (absent: chosen from the pixel, the lens and the display)"
     )
     max_seconds: Seconds | None = Field(

@@ -293,12 +293,7 @@ def test_list_without_a_value_beside_a_comma_is_refused(text: str) -> None:
         ("run csf --linaer", "Did you mean --linear?"),  # by Cyclopts
         ("study chen2000 --axis technology=0.35um,0.18um", 'Several are stated by technologies = ["0.35um", "0.18um"]'),
         ("lens phone --spp 4", "Unknown option: --spp.\nTry 'pixsim lens --help'"),
-        ("run csf --resolution 640x480", "The sensor's columns and rows are pixels in [camera]"),
-        ("run csf --exposure.max-integration-s 50ms", "allowed: a valid number. Write 0.05, which is in s."),
-        ("run csf --exposure.max-integration-s 1/25", "allowed: a valid number. Write 0.04, which is in s."),
-        ("run csf --pixel.pitch-um 5.6e-6", "It is in µm, and 5.6e-06 m are 5.6: write 5.6."),
         ("run csf --pixel.prnu 0.5", "In per cent? Write prnu = 0.005."),
-        ("run csf --display.white 200", "A luminance of the scene is --display.white-cd-per-m2, a radiance "),
         ("study pixel-size --pitch.values-um 2.4 3.45", "and a list as 2.4,3.45 without blanks."),
         ("study pixel-size --scene star.png", "A picture is the chart of a scene: csf with -D chart=star.png."),
         ("run csf --camera.pixels 640", "camera.pixels: got '640'; allowed: columns and rows, as 1936x1216."),
