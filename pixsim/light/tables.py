@@ -44,7 +44,6 @@ AMPERE_PER_WATT = re.compile(r"(?<![^\W_])([mµμu]?)A(?:\s*/\s*W|[\s·.*]?W\s*\
 PREFIXES = {"": 0, "m": -3, "u": -6, "µ": -6, "μ": -6}
 A_PER_W = "A/W"
 PLANCK_J_S, LIGHT_SPEED_M_PER_S, ELEMENTARY_CHARGE_C = 6.62607015e-34, 299792458.0, 1.602176634e-19  # SI 2019, exact
-SURELY_WAVELENGTHS_NM = (100.0, 100_000.0)
 HC_PER_Q_NM_W_PER_A = PLANCK_J_S * LIGHT_SPEED_M_PER_S / ELEMENTARY_CHARGE_C * 1e9
 
 
@@ -213,8 +212,6 @@ def read_table(
         scaled = tuple(_scaled(row[at], power) for row in rows)
         columns.append(Column(names[at], "" if stated == "%" else stated, scaled))
     nm = tuple(_scaled(row[0], POWERS[unit or "nm"]) for row in rows)
-    if columns and _are_swapped(nm, columns[0]):
-        raise ValueError(f"got '{path}' with {float(nm[0]):g} nm; allowed: {allowed}. Are the columns swapped?")
     if hint := unit_hint([float(each) for each in nm], bounds_nm, unit, "the title"):
         mend = "" if unit else ", or state the unit in the title"
         raise ValueError(f"got '{path}' with {float(nm[0]):g} to {float(nm[-1]):g} nm; allowed: {allowed}. {hint}{mend}")
@@ -228,12 +225,6 @@ def _scaled(number: Decimal, power: int) -> Decimal:
 def _has_decimal_commas_too(rows: Sequence[Sequence[str]]) -> bool:
     """Whether rows as 400,0,231 are a wavelength and a value below 1 with a decimal comma."""
     return bool(rows) and all(len(row) > 2 and row[1] in ("0", "1") and all(cell.isdigit() for cell in row) for row in rows)
-
-
-def _are_swapped(nm: Sequence[Decimal], values: Column) -> bool:
-    """Whether the first column can be no wavelength, and the second can."""
-    low, high = SURELY_WAVELENGTHS_NM
-    return bool(nm) and all(float(each) < low for each in nm) and all(low <= float(each) <= high for each in values.values)
 
 
 def _titles(header: Sequence[str], count: int, separator: str | None, ways: Sequence[str] = WAYS) -> list[str]:

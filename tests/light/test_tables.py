@@ -134,7 +134,7 @@ def test_chief_rays_have_the_same_forms(tmp_path: Path) -> None:
         ("400;0.3\n500;much\n", "line 2"),
         ("400\n500\n", "no two numbers in line 1"),
         ("1.400,0;0,3\n", "no two numbers in line 1"),
-        ("0.3,400\n30,500\n", "columns swapped"),
+        ("0.3,400\n30,500\n", "0.3 nm followed by 30 nm"),
         ("\0", "which is no text"),
         ("a,b\n1", "line 2"),
         ("400,1\n" * 2, "400 nm followed by 400 nm"),

@@ -555,11 +555,6 @@ def test_derive_pixel_replaces_mismatch_of_technology() -> None:
         ({"a_vt_mv_um": 1e5, "follower_area_um2": 1}, r"got 100000, which is 100 V .*1\.2 V\. Give a gate .* of at least 6940"),
         ({"a_vt_mv_um": 8, "follower_area_um2": 1, "technology": "4t-bsi"}, r"pinned photodiode of 4t-bsi, .*Give dsnu_e or"),
         (SHEET | {"a_vt_mv_um": 8, "follower_area_um2": 1}, r"got a data sheet, whose node capacitance is unknown.*Give dsnu_e or"),
-        (
-            {"hot_pixel_fraction": 0.01},
-            r"pixel\.hot_pixel_fraction: got 0\.01 with hot_pixel_median = 1 .*Give hot_pixel_median and",
-        ),
-        ({"hot_pixel_spread": 1.0}, r"pixel\.hot_pixel_spread: got no hot_pixel_fraction beside it.*Give hot_pixel_fraction"),
         ({"hot_pixel_fraction": 1.5}, "hot_pixel_fraction: got 1.5; allowed: less than or equal to 1"),
         ({"hot_pixel_median": 0.5}, "hot_pixel_median: got 0.5; allowed: greater than or equal to 1"),
         ({"hot_pixel_spread": 4}, "hot_pixel_spread: got 4; allowed: less than or equal to 3"),
