@@ -36,7 +36,7 @@ from pixsim.studies.settings import Study
 from pixsim.studies.table import DOTS, Table
 from pixsim.viewer.develop_options import developed_words
 from pixsim.viewer.metrics import DELTA_E, Metric, columns_of_metrics, columns_with_numbers
-from pixsim.viewer.score import NOT_MEASURED, Cause, LightError, converged
+from pixsim.viewer.score import NOT_MEASURED, Cause, LightError
 
 if TYPE_CHECKING:
     from pixsim.studies.evaluate import LitCase
@@ -77,11 +77,6 @@ class CurveErrors:
     light: LightError = NOT_MEASURED
     light_limit: LightError = NOT_MEASURED
     causes: tuple[Cause, ...] = ()
-
-    @property
-    def are_tolerated(self) -> bool:
-        """Whether the errors of the light are below their limits."""
-        return converged(self.light, self.light_limit)
 
 
 class TooFewSizesError(PixsimError):

@@ -22,7 +22,7 @@ from pixsim.viewer.develop_options import as_tone_curve, of_python
 from pixsim.viewer.merging import merge, merged
 from pixsim.viewer.metric_registry import names_of
 from pixsim.viewer.score import Score
-from pixsim.viewer.settings_file import settings_layer, settings_path
+from pixsim.viewer.settings_file import resolve_files, settings_layer, settings_path
 
 # Settings that name files: those whose values can stand in their place, and others.
 FILES_OF_VALUES: dict[tuple[str, ...], Callable[[Any], Any]] = {
@@ -181,39 +181,12 @@ def _study_table(path: Path) -> dict[str, Any]:
     if "name" not in table and isinstance(pixel := table.get("pixel"), dict) and "pitch_um" in pixel:
         hint = f"Pass it to a study: pixsim study pixel-size --config {path}"
         raise invalid("study", f"'{path}', the file of a sensor", "the file of a study, which has a name", hint)
-    _refuse_earlier_spellings(table, path)
     _resolve_files(table, path)
     if isinstance(pixel := table.get("pixel"), dict):
         table["pixel"], _ = without_uncertainty(pixel, str(path))
     if isinstance(sensors := table.get("sensors"), dict):
         table["sensors"] = sensors | {name: pixel for name, (pixel, _) in _sheets_of(sensors, path).items()}
     return table
-
-
-def _refuse_earlier_spellings(table: Mapping[str, Any], path: Path) -> None:
-    """Raise PixsimError for a table as earlier versions had it, with what takes its place."""
-    old = [name for name in ("base", "quick", "vary", "ranges") if name in table]
-    if any("quick" in axis for axis in _tables(table.get("axis"))):
-        old.append("axis.quick")
-    if not old:
-        return
-    allowed, hint = "[[axis]] with alone = true", new_spelling(table)
-    if old[0] == "base":
-        allowed = "files over each other, of which later ones win"
-        hint = f"Leave the line out, and write: pixsim study {table['base']} --config {path}"
-    elif old[0] in ("quick", "axis.quick"):
-        allowed = "a file of overrides, which --quick takes"
-        hint = f"Move them to '{path.with_name(path.stem)}.quick.toml', with an axis as a whole."
-    raise invalid(old[0], f"'{path}', with the spelling of an earlier version", allowed, hint)
-
-
-def new_spelling(table: Mapping[str, Any]) -> str:
-    """Return how a [[vary]] or an entry of [ranges], the first of a table, is written as an axis."""
-    vary, ranges = table.get("vary"), table.get("ranges")
-    if isinstance(vary, list) and vary and isinstance(vary[0], dict):
-        return f'Write [[axis]] name = "{vary[0].get("name", "")}", alone = true, values = [...], with the entries of settings.'
-    name, number = next(iter(ranges.items())) if isinstance(ranges, dict) and ranges else ("name", "dark_current_na_per_cm2")
-    return f'Write [[axis]] name = "{name}", range_of = "{number}", alone = true.'
 
 
 def _sheets_of(sensors: dict[str, Any], path: Path) -> dict[str, tuple[dict[str, Any], dict[str, Spread]]]:
@@ -250,12 +223,7 @@ def _resolve_files(table: dict[str, Any], path: Path) -> None:
     values = [value for axis in _tables(table.get("axis")) for value in _resolved_values(axis, path)]
     settings = [each.get("set") for each in (*_tables(values), *_tables(table.get("condition")))]
     for part in (table, *_tables(settings)):
-        for *above, name in FILES:
-            node: Any = part
-            for key in above:
-                node = node.get(key) if isinstance(node, dict) else None
-            if isinstance(node, dict) and name in node:
-                node[name] = resolve_file(path, node[name])
+        resolve_files(part, path, FILES)
 
 
 def _tables(value: object) -> list[dict[str, Any]]:

@@ -297,11 +297,7 @@ class Axis(Record):
             raise ValueError("set: missing; allowed: a dotted setting, as set = 'camera.f_number', or values with label and set")
         labels = [point.label for point in self.points]
         if twice := [place for place, label in enumerate(labels) if label in labels[:place]]:
-            values = [self.points[place].value for place in (labels.index(labels[twice[0]]), twice[0])]
-            if values[0] != values[1]:
-                words = f"{values[0]!r} and {values[1]!r} are both {labels[twice[0]]} to 4 digits"
-                raise ValueError(f"values: {words}; allowed: values that differ in them, or labels")
-            raise ValueError(f"values: {labels[twice[0]]} stands there twice; allowed: each value once")
+            raise ValueError(f"values: {labels[twice[0]]} stands there twice; allowed: values that differ in 4 digits, or labels")
         return self
 
     @model_serializer(mode="wrap")
@@ -592,8 +588,8 @@ SET_BY_STUDY = ("pitch_um", "technology")  # fields of a pixel that a study sets
 REPLACED_RANGE = {"values_um": ("min_um", "max_um", "count", "min_fill_factor"), "min_um": ("min_fill_factor",)}
 
 
-# Names of settings that a sensor's file does not have; those of earlier versions are refused with what takes their place.
-STUDY_ONLY = (Study.model_fields.keys() - Run.model_fields.keys()) | {"base", "quick"}
+# Names of settings that a sensor's file does not have.
+STUDY_ONLY = Study.model_fields.keys() - Run.model_fields.keys()
 
 
 # Questions to a study to which another command has no answer, and what asks them.

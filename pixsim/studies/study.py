@@ -212,27 +212,6 @@ def warn_of_left_out(cases: Sequence[LitCase], curves: Sequence[Curve | str]) ->
         warn(note)
 
 
-def warn_of_idle_axes(study: Study, found: Sequence[StudyResult]) -> None:
-    """Warn of each axis whose values all give the same numbers, bit for bit: something else decides on its setting.
-
-    All cases have the same random numbers, so that equal settings give equal numbers.
-    """
-    curves = [curve for result in found for curve in result.curves]
-    for axis in study.axis:
-        groups: dict[tuple[object, ...], list[bytes]] = {}
-        for curve in curves:
-            is_base = axis.alone and not curve.alone
-            if curve.alone == (axis.name if axis.alone else "") or is_base:
-                others = () if axis.alone else [(name, value) for name, value in curve.at.items() if name != axis.name]
-                judged = (curve.statistics[metric.columns[0]] for metric in curve.metrics)
-                content = b"".join(each.tobytes() for each in (curve.pitch_um, *judged))
-                groups.setdefault((curve.technology, curve.condition, *others), []).append(content)
-        if any(len(group) > 1 for group in groups.values()) and all(len(set(group)) == 1 for group in groups.values()):
-            settings = ", ".join(dict.fromkeys(".".join(path) for path in axis.paths))
-            why = f"its values are the study's own, or other settings or a data sheet decide in place of {settings}"
-            warn(Note("no_effect", words=f"the axis {axis.name} changes nothing: {why}"))
-
-
 def findings_of_cases(parts: Sequence[StudyResult], workers: Workers, progress: Progress) -> tuple[tuple[Finding, ...], ...]:
     """Return the statements compared with each case of a study with axes or conditions; none where a case lacks the process.
 
@@ -498,7 +477,6 @@ def run_prepared(
             raise PixsimError(reasons[0])
         for note in few([[Note("left_out", words=f"a case is left out: {reason}") for reason in reasons]]):
             warn(note)
-        warn_of_idle_axes(chosen, found)
         curves = found[0].curves
         findings: tuple[tuple[Any, ...], ...] = ()
         if chosen.has_cases and chosen.paper:

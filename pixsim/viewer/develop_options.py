@@ -177,11 +177,6 @@ def _checked_tone(rows: ToneTable, source: str) -> ToneTable:
     return rows
 
 
-def has_tone_file(develop: dict[str, Any]) -> bool:
-    """Return whether fields of [develop] name a file with the tone curve."""
-    return "tone_curve" in develop and develop["tone_curve"] not in TONE_CURVES
-
-
 ToneCurve = Annotated[
     Literal["none", "gamma", "srgb", "reinhard"] | ToneTable,
     BeforeValidator(as_tone_curve),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +15,14 @@ from pixsim.light.curves import RESPONSES
 from pixsim.optics.lens_options import as_file_names
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.spread import without_uncertainty
-from pixsim.viewer.develop_options import has_tone_file
 from pixsim.viewer.setting import Run
 
-FILES_OF_LENS = "file", "veiling_glare", "relative_illumination"
+# Settings that may name a file.
+FILES = (
+    *(("pixel", "technology"), ("pixel", "quantum_efficiency"), *(("pixel", "colour", name) for name in RESPONSES)),
+    *(("camera", "chief_ray_angle"), ("develop", "tone_curve"), ("scene", "chart"), ("metric", "detectability", "without")),
+    *(("lens", "file"), ("lens", "veiling_glare"), ("lens", "relative_illumination")),
+)
 
 
 def packaged_sensors() -> Mapping[str, Path]:
@@ -47,35 +51,26 @@ def settings_layer(file: str | os.PathLike[str]) -> Layer:
     """
     path = settings_path(file)
     table = read_toml(path)
-    pixel = table.get("pixel")
-    if isinstance(pixel, dict):
-        pixel, _ = without_uncertainty(pixel, str(path))
-        table = {**table, "pixel": pixel}
-        resolved: dict[str, Any] = {
-            name: resolve_file(path, pixel[name]) for name in ("technology", "quantum_efficiency") if name in pixel
-        }
-        if isinstance(colour := pixel.get("colour"), dict):
-            resolved["colour"] = colour | {name: resolve_file(path, colour[name]) for name in RESPONSES if name in colour}
-        table = {**table, "pixel": pixel | resolved}
-    camera = table.get("camera")
-    if isinstance(camera, dict) and "chief_ray_angle" in camera:
-        table = {**table, "camera": camera | {"chief_ray_angle": resolve_file(path, camera["chief_ray_angle"])}}
-    develop = table.get("develop")
-    if isinstance(develop, dict) and has_tone_file(develop):
-        table = {**table, "develop": develop | {"tone_curve": resolve_file(path, develop["tone_curve"])}}
-    lens = table.get("lens")
-    if isinstance(lens, dict) and (files := [name for name in FILES_OF_LENS if name in lens]):
-        named: dict[str, Any] = {name: resolve_file(path, lens[name]) for name in files}
-        if isinstance(catalogues := as_file_names(lens.get("glass_catalogues")), list):
-            named["glass_catalogues"] = [resolve_file(path, name) for name in catalogues]
-        table = {**table, "lens": lens | named}
-    scene = table.get("scene")
-    if isinstance(scene, dict) and "chart" in scene:
-        table = {**table, "scene": scene | {"chart": resolve_file(path, scene["chart"])}}
-    metric = table.get("metric")
-    if isinstance(metric, dict) and isinstance(own := metric.get("detectability"), dict) and "without" in own:
-        table = {**table, "metric": metric | {"detectability": own | {"without": resolve_file(path, own["without"])}}}
+    if isinstance(pixel := table.get("pixel"), dict):
+        table["pixel"], _ = without_uncertainty(pixel, str(path))
+    resolve_files(table, path, FILES)
+    lens = table.get("lens", {})
+    if isinstance(lens, dict) and isinstance(catalogues := as_file_names(lens.get("glass_catalogues")), list):
+        lens["glass_catalogues"] = [resolve_file(path, name) for name in catalogues]
     return Layer(table, str(path))
+
+
+def resolve_files(table: dict[str, Any], path: Path, files: Iterable[Sequence[str]]) -> None:
+    """Replace file names in a table of settings by their paths, for files that lie next to the settings file.
+
+    files : paths of the settings that may name a file
+    """
+    for *above, name in files:
+        node: Any = table
+        for key in above:
+            node = node.get(key) if isinstance(node, dict) else None
+        if isinstance(node, dict) and name in node:
+            node[name] = resolve_file(path, node[name])
 
 
 def run_settings(config: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], options: Mapping[str, Any]) -> Run:

@@ -320,28 +320,6 @@ def test_quick_without_a_file_of_its_own_is_at_most_8_sizes_of_4_sensors(
     assert (study_pitches_um(study, "0.35um").size, study.repeats) == (sizes, sensors)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ('base = "chen2000"', r"base: got '.*s\.toml', with the .*write: pixsim study chen2000 --config .*s\.toml"),
-        ("[quick]\nrepeats = 4", r"quick: got '.*s\.toml', .*a file of overrides, .*Move them to '.*s\.quick\.toml'"),
-        (
-            '[[axis]]\nname = "a"\nset = "pixel.prnu"\nvalues = [0.1]\nquick = { values = [0.2] }',
-            r"axis\.quick: got .*Move them to '.*s\.quick\.toml', with an axis as a whole",
-        ),
-    ],
-)
-def test_earlier_spelling_of_layers_is_refused_with_the_new_one(text: str, message: str, tmp_path: Path) -> None:
-    """In a study's file, in one over it, and in a file of overrides."""
-    path, own = written(tmp_path / "s.toml", f'name = "s"\n{text}'), written(tmp_path / "own.toml", 'name = "own"\n')
-    for study, config in ((path, []), ("chen2000", [path])):
-        with pytest.raises(PixsimError, match=message):
-            load_study(study, config)
-    written(tmp_path / "own.quick.toml", text)
-    with pytest.raises(PixsimError, match=message.partition(":")[0]):
-        load_study(own, quick=True)
-
-
 def test_quick_takes_the_name_or_the_file_of_a_study(tmp_path: Path) -> None:
     with pytest.raises(PixsimError, match="quick: got with a Study; allowed: the name or the file of a study"):
         pixsim.study(Study(name="x"), tmp_path, quick=True)
@@ -506,7 +484,7 @@ def test_study_layers_pixels_keep_the_die_at_every_pitch(tmp_path: Path) -> None
         ("[display]\nresolution = 640", "Write dots."),
         *(
             (text, "columns and rows are pixels in [camera], as pixels = [1936, 1216]; resolution is the width of the film.")
-            for text in ("[camera]\nresolution = [1936, 1216]", "[pixel]\nresolution = 512", "resolution = [1936, 1216]")
+            for text in ("[camera]\nresolution = [1936, 1216]", "[pixel]\nresolution = 512")
         ),
         (
             "[camera]\npixels = 1936",
@@ -515,10 +493,6 @@ def test_study_layers_pixels_keep_the_die_at_every_pitch(tmp_path: Path) -> None
         ("[pixel]\nquantum_efficiency = 65", "a fraction: 65 % is 0.65."),
         ("[pixel]\nquantum_efficiency = '65 %'", "a fraction: 65 % is 0.65."),
         ("[pixel]\ndark_current = 3", "Write dark_current_e_per_s = 3, or"),
-        (
-            "[pixel]\nread_noise_e = [1.8, 3.0]",
-            "[pixel.uncertainty] read_noise_e = { range = [1.8, 3.0] }; several values: --axis.",
-        ),
         ("[pixel]\npitch_um = 3,45", "A number has a decimal point and no unit, as 3.45 or 10500."),
         ("[pixel]\nfull_well_e = 10500 e-", "A number has a decimal point and no unit, as 3.45 or 10500."),
     ],

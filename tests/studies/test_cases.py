@@ -109,7 +109,7 @@ EACH = "allowed: a number, a name, or a table of label and set"
         ({"from": math.nan, "to": 3.0, "count": 3}, "finite number"),
         ({"from": 3.0, "to": 3.0, "count": 3}, "values: 3 stands there twice"),
         ({"from": 2.0, "to": 3.0, "count": 1}, "greater than or equal to 2"),
-        ({"from": 2.0, "to": 2.1, "count": 900}, "both 2 to 4 digits; allowed: values that differ in them"),
+        ({"from": 2.0, "to": 2.1, "count": 900}, "stands there twice; allowed: values that differ in 4 digits"),
         (labelled("a", b={"pixel": {"prnu": None}}) | {"set": None}, "pixel.prnu = None; allowed: a number, a text or a list"),
         ({"values": [2], "spacing": "log"}, "values and spacing both state the values"),
         ({"set": None, "values": [{"label": "b", "set": {"resolution": n}} for n in (20, 30)]}, "values: b stands there twice"),
@@ -405,14 +405,6 @@ def test_study_sensors_are_drawn_once_for_all_lights(tmp_path: Path, monkeypatch
     assert len(rows(tmp_path)) == 3 * 5 * 2
     drawn = [key for key in drawn if key != STREAM]
     assert len(drawn) == len(set(drawn)) == 5 * 2
-
-
-def test_study_axis_without_effect_is_named(tmp_path: Path) -> None:
-    """The study's own QE takes the place of the technology's: all values give the same frames."""
-    known = axis_of("peak", "process.'0.35um'.peak_quantum_efficiency", 0.2, 0.4)
-    with pytest.warns(UserWarning, match="axis peak changes nothing: .* in place of process.0.35um.peak_quantum_efficiency"):
-        result = pixsim.study(small(axis=[known], pixel={"quantum_efficiency": 0.3}), tmp_path, jobs=1)
-    assert any("axis peak changes nothing" in note for note in study_notes(result))
 
 
 def test_load_study_names_options_that_are_not_used(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:

@@ -17,7 +17,6 @@ from helpers.commands import command
 from helpers.tiny import COARSE, PITCHES_UM, rows, tiny, tiny_toml
 
 import pixsim
-from pixsim.base.errors import PixsimError
 from pixsim.base.schema import SCHEMA
 from pixsim.report.axes import cases_data, verdict_words
 from pixsim.sensor.technology import load_technology
@@ -83,8 +82,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.fixture(scope="module")
 def done(desk: Path) -> tuple[StudyResult, Path]:
-    with pytest.warns(UserWarning, match="the axis PRNU changes nothing"):
-        return pixsim.study("tiny.toml", desk / "one", config="sensitivity.toml", jobs=1), desk / "one"
+    return pixsim.study("tiny.toml", desk / "one", config="sensitivity.toml", jobs=1), desk / "one"
 
 
 def case(result: StudyResult, axis: str, value: float | str) -> StudyResult:
@@ -101,22 +99,6 @@ def test_study_over_another_has_its_values_and_streams(desk: Path) -> None:
     assert (own.repeats, base.repeats) == (2, 4)
     same = base.model_copy(update={name: getattr(own, name) for name in ("name", "streams", "repeats", "pitch", "axis")})
     assert same == own
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (
-            'name = "a"\n[[vary]]\nname = "bits"\nsettings = []',
-            r'vary: got .*an earlier version; allowed: \[\[axis\]\] with alone = true.*name = "bits", alone = true',
-        ),
-        ('name = "a"\n[ranges]\ndark = "dsnu"', r'ranges: got .*earlier version.*name = "dark", range_of = "dsnu", alone = true'),
-    ],
-)
-def test_study_old_spelling_raises(text: str, message: str, tmp_path: Path) -> None:
-    (tmp_path / "a.toml").write_text(text, encoding="utf-8")
-    with pytest.raises(PixsimError, match=message):
-        load_study(tmp_path / "a.toml")
 
 
 # --- numbers of the technologies over their ranges --------------------------------------------------------------------
@@ -194,8 +176,7 @@ def test_unchanged_technology_is_computed_once(done: tuple[StudyResult, Path]) -
     alone = case(result, "dark current", "0.25um 9")
     np.testing.assert_array_equal(alone.curves[0].delta_e, result.parts[0].curves[0].delta_e)
     assert (alone.curves[1].delta_e != result.parts[0].curves[1].delta_e).any()
-    with pytest.warns(UserWarning, match="the axis PRNU changes nothing"):
-        again = pixsim.study("tiny.toml", folder, config="sensitivity.toml", jobs=1)
+    again = pixsim.study("tiny.toml", folder, config="sensitivity.toml", jobs=1)
     assert again.counts is not None
     assert again.counts.evaluations_made == 0
     assert again.as_dict() | {"counts": None} == result.as_dict() | {"counts": None}
