@@ -97,13 +97,13 @@ def spread_parts(count: int, size: int) -> list[slice]:
     return [slice(max(0, first), max(0, first) + size) for first in firsts]
 
 
-def mixed(matrix: Array, planes: Sequence[Array], out: Array | None = None) -> Array:
+def mixed(matrix: Array, planes: Sequence[Array]) -> Array:
     """Return a matrix (n, C) times C planes (H, W): (n, H, W); not by BLAS, whose rounding depends on the number of threads.
 
     Planes of float32 give float32.
     """
-    dtype = planes[0].dtype if out is None and planes[0].dtype == np.float32 else np.dtype(float)
-    result = np.empty((len(matrix), *planes[0].shape), dtype) if out is None else out
+    dtype = planes[0].dtype if planes[0].dtype == np.float32 else np.dtype(float)
+    result = np.empty((len(matrix), *planes[0].shape), dtype)
     for rows, spare in strips_of(planes[0].shape, dtype):
         for place, weights in zip(result, matrix.tolist(), strict=True):
             total = place[rows]

@@ -436,13 +436,7 @@ def fitted_range(study: Study, camera: Camera) -> Study:
                     "pitch.min_fill_factor", got, f"at most {amount(most)} pixels", f"Set --pitch.min-um {least_um:g}, or --window."
                 )
             low = least_um
-            limit = f"{MAX_FRAME_BYTES / (1 << 30):g} GiB for a frame"
-            if most == MAX_PIXELS:
-                limit = "as many as pixsim simulates"
-            elif most > MAX_FRAME_BYTES / BYTES_PER_PIXEL:
-                limit = "as many as the data sheet's sensor has"
-            reason = f"it has {amount(most)} pixels on the die, {limit}; smaller ones: --pitch.min-um, or a part of the die "
-            reason += "by --window"
+            reason = f"it has {amount(most)} pixels on the die; smaller ones: --pitch.min-um, or a part of the die by --window"
             warn(_range_note("smallest pixel size", low, min(lows), reason))
     if own_um is None and low == pitch.min_um:
         return study
@@ -460,8 +454,7 @@ def check_smallest(pitch_um: float, camera: Camera, name: str) -> None:
     count = math.floor(height_um / pitch_um) * math.floor(width_um / pitch_um)
     if count > MAX_PIXELS:
         least = up_to_pitch_digits(math.sqrt(height_um * width_um / MAX_PIXELS))
-        widest = f"{math.floor(1e2 * pitch_um * math.sqrt(MAX_PIXELS) / 1e3) / 1e2:g}"
-        hint = f"Or take a part of the die: --window {widest}."
+        hint = "Or take a part of the die: --window."
         raise invalid(name, f"{pitch_um:g}, which makes {amount(count)} pixels", f"at least {least:g} on this die", hint)
 
 

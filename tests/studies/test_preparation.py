@@ -114,8 +114,8 @@ MOST_PIXELS = MAX_FRAME_BYTES / BYTES_PER_PIXEL
     ("die_mm", "message", "min_um", "max_um"),
     [
         (2.0, "", 0.8625, 13.8),
-        (8.5, r"smallest pixel size is 2\.20\d µm in place of 0\.8625.*1 GiB for a frame.*--window", 8500 / MOST_PIXELS**0.5, 13.8),
-        (24.0, "as many as the data sheet's sensor has", 24e3 / (24e3 // 3.45), 13.8),  # 48 million, more than 2 GiB a frame
+        (8.5, r"smallest pixel size is 2\.20\d µm in place of 0\.8625.*--window", 8500 / MOST_PIXELS**0.5, 13.8),
+        (24.0, r"million pixels on the die", 24e3 / (24e3 // 3.45), 13.8),  # 48 million, more than 2 GiB a frame
         (0.1, r"largest pixel size is 6\.25 µm in place of 13\.8 µm", 0.8625, 6.25),
     ],
 )
