@@ -623,8 +623,6 @@ def _read_zmx(path: Path, options: PrescriptionOptions, own: Mapping[str, Glass]
     stop = _one_stop(stops, f"'{path}'", len(surfaces), "Write a line STOP under its SURF.")
     fixed = _fixed(blocks[1:-1], surfaces, stop)
     if options.semi_diameters == "clip":
-        if not fixed:
-            notes.append('lens.semi_diameters = "clip" changes nothing: the file fixes no semi-diameter without an aperture')
         surfaces = [replace(surface, clips=surface.clips or index in fixed) for index, surface in enumerate(surfaces)]
         fixed = ()
     aperture, value = _zmx_aperture(path, head, surfaces[stop])
@@ -635,8 +633,6 @@ def _read_zmx(path: Path, options: PrescriptionOptions, own: Mapping[str, Glass]
     factors = _zmx_vignetting(path, head, notes)
     if kind == "angle_deg" and math.isfinite(stated_distance) and _zmx_fields(path, head)[0]:  # object heights far away
         factors = tuple(replace(row, field_value=math.degrees(math.atan2(row.field_value, stated_distance))) for row in factors)
-    if options.vignetting_factors and not factors:
-        notes.append("lens.vignetting_factors changes nothing: the file has none")
     used = (options.vignetting_factors or ("ignore" if any(surface.clips for surface in surfaces) else "use")) == "use"
     title = next((" ".join(line.words) for line in head.all("NAME") if line.words), path.stem)
     prescription = Prescription(
@@ -823,8 +819,7 @@ def _zmx_number(where: str, line: _Line, place: int = 0, default: float | None =
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        hint = "A number has a decimal point." if re.fullmatch(r"[-+]?\d+,\d+(e[-+]?\d+)?", text, re.IGNORECASE) else ""
-        raise invalid(f"{where}, line {line.number}: {line.keyword}", excerpt(text), "a finite number", hint)
+        raise invalid(f"{where}, line {line.number}: {line.keyword}", excerpt(text), "a finite number, with a decimal point")
     return value
 
 
@@ -1021,8 +1016,6 @@ def _zmx_glasses(
                 glasses.append(AIR)
     if modelled:
         notes.append(f"glasses that no catalogue has are models of the n_d and V_d in their lines: {', '.join(modelled)}")
-    elif options.unknown_glass == "model" and not unknown:
-        notes.append('lens.unknown_glass = "model" changes nothing: every glass of the file is known')
     if unknown:
         raise PixsimError("\n".join([*unknown, OWN_CATALOGUE]))
     return glasses

@@ -99,7 +99,7 @@ def test_study_command_takes_a_data_sheet_and_a_parameter_of_the_scene(tmp_path:
     code, out, err = command(line)
     assert code == 0, err
     assert "csf: spp = 4, emitter_scale = " in out
-    assert "data sheet: 5 sizes from 1 to 16 µm" in out
+    assert "data sheet: 500 × 500 pixels of 1 µm to 31 × 31 pixels of 16 µm, 2 sensors of each" in out
 
 
 def test_load_study_takes_files_and_parameters(tmp_path: Path) -> None:

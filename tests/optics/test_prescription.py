@@ -205,7 +205,7 @@ WRONG_ZMX = {
     "FNUM 4.5 0|XNUM 4.5 0": "aperture of .*: got none; allowed: ENPD",
     "FTYP 0 0 3 3|FTYP 1 0 3 3": "got object heights of an object at infinity; allowed: angles",
     "FTYP 0 0 3 3|FTYP 4 0 3 3": "FTYP: got 4; allowed: 0 .angles.",
-    "CURV 7.061398863114783100E-002|CURV 7,0613E-002": "CURV: got a text of 11 characters; .* A number has a decimal point",
+    "CURV 7.061398863114783100E-002|CURV 7,0613E-002": "CURV: got a text of 11 characters; .* with a decimal point",
     "PWAV 2|PWAV 7": "PWAV: got 7; allowed: 1 to 3",
     "SURF 4\n|SURF 5\n": "got SURF 5 a second time",
     "SURF 13\n|SURF 99\n": "SURF 0 to SURF 13, without a gap: SURF 13 is missing",
@@ -372,8 +372,6 @@ def test_unknown_glass_offers_the_numbers_of_its_line(tmp_path: Path, name: str,
         model = wild(name, unknown_glass="model")
     same(written, model, 10.0, 1e-12)
     assert model.prescription.surfaces[0].glass.index(587.5618) == pytest.approx(float(numbers.split()[0]), rel=1e-12)
-    with pytest.warns(UserWarning, match=r'lens.unknown_glass = "model" changes nothing'):
-        wild("air.zmx", unknown_glass="model")
 
 
 def test_all_unknown_glasses_are_named_at_once(tmp_path: Path) -> None:
@@ -518,11 +516,7 @@ def test_semi_diameters_that_clip(tmp_path: Path, change: str, clipping: list[in
     if "SURF 3\n  DIAM" in new and "STOP" not in new:
         text = text.replace("SURF 4", "SURF 5").replace("SURF 3\n  STOP", "SURF 4\n  STOP")
     (tmp_path / "lens.zmx").write_text(text)
-    if not clipping:
-        with pytest.warns(UserWarning, match=r'lens.semi_diameters = "clip" changes nothing'):
-            lens = pixsim.load_lens(tmp_path / "lens.zmx", semi_diameters="clip")
-    else:
-        lens = pixsim.load_lens(tmp_path / "lens.zmx", semi_diameters="clip")
+    lens = pixsim.load_lens(tmp_path / "lens.zmx", semi_diameters="clip")
     assert [index for index, surface in enumerate(lens.prescription.surfaces) if surface.clips] == clipping
 
 
@@ -556,8 +550,6 @@ def test_vignetting_factors_beside_apertures_are_not_used_unless_asked_for() -> 
         plain = pixsim.load_lens(name)
     assert not plain.vignetting
     assert pixsim.load_lens(name, vignetting_factors="use").vignetting
-    with pytest.warns(UserWarning, match="lens.vignetting_factors changes nothing"):
-        wild("air.zmx", vignetting_factors="use")
 
 
 def test_vignetting_factors_of_other_fields(tmp_path: Path) -> None:

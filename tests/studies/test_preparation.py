@@ -144,7 +144,7 @@ def test_fitted_range_ends_at_the_widest_microlens_and_says_so() -> None:
 def test_prepare_set_size_with_too_many_pixels_raises() -> None:
     for pitch in ({"min_um": 0.5}, {"values_um": (0.5, 3, 4, 5, 6)}):
         with pytest.raises(
-            pixsim.PixsimError, match=r"got 0\.5, which makes 289 million pixels; allowed: at least 1\.03.*--window 4\.09"
+            pixsim.PixsimError, match=r"got 0\.5, which makes 289 million pixels; allowed: at least 1\.03.*--window"
         ):
             prepare(sheet_study(8.5, **pitch))
     prepare(sheet_study(4.0, min_um=0.5))

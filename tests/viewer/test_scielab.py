@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import scipy.ndimage
 
+import pixsim
 from pixsim.base import arrays
 from pixsim.base.errors import PixsimError
 from pixsim.verification import extreme_cases
@@ -80,8 +81,8 @@ def test_filtered_grey_lab_matches_filtered_lab(filters, shape, samples_per_deg,
     [np.ones(3), np.ones((2, 2, 3)), np.ones((0, 4)), np.array([[1.0, np.nan]]), np.array([[np.inf, -np.inf], [0.0, 1.0]])],
 )
 def test_filtered_grey_lab_invalid_luminance_raises(luminance, single):
-    with pytest.raises(PixsimError, match=r"luminance: got shape .*; allowed: \(H, W\), not empty, all values finite"):
-        scielab.filtered_grey_lab(luminance, white_xyz=D65, samples_per_deg=23, single=single)
+    with pytest.raises(PixsimError, match=r"luminance: got .*; allowed: (\(H, W\), not empty|finite numbers)"):
+        pixsim.scielab.filtered_grey_lab(luminance, single=single, **VIEW)
 
 
 # --- The published filter: closed forms, limits, conservation ---
@@ -165,23 +166,23 @@ SPOILT[2, 3, 1] = np.nan
         ({"reference_xyz": np.ones((4, 5))}, ["reference_xyz", "(4, 5)", "(H, W, 3)"]),
         ({"test_xyz": np.ones((3, 4, 5))}, ["test_xyz", "(3, 4, 5)", "(H, W, 3)"]),
         ({"test_xyz": np.ones((0, 5, 3))}, ["test_xyz", "(0, 5, 3)", "empty"]),
-        ({"test_xyz": SPOILT}, ["test_xyz", "nan", "[2, 3, 1]", "1 such of 60"]),
-        ({"reference_xyz": np.full((4, 5, 3), np.inf)}, ["reference_xyz", "inf", "60 such"]),
-        ({"white_xyz": [95.0, 0.0, 108.0]}, ["white_xyz", "[95.0, 0.0, 108.0]", "above 0"]),
+        ({"test_xyz": SPOILT}, ["test_xyz", "nan", "[2, 3, 1]"]),
+        ({"reference_xyz": np.full((4, 5, 3), np.inf)}, ["reference_xyz", "inf", "[0, 0, 0]"]),
+        ({"white_xyz": [95.0, 0.0, 108.0]}, ["white_xyz", "0.0 at [1]", "above 0"]),
         ({"white_xyz": [95.0, np.nan, 108.0]}, ["white_xyz", "nan"]),
         ({"white_xyz": 100.0}, ["white_xyz", "100.0", "three"]),
         ({"samples_per_deg": 0}, ["samples_per_deg", "0", "above 0"]),
         ({"samples_per_deg": -23.0}, ["samples_per_deg", "-23.0"]),
         ({"samples_per_deg": np.inf}, ["samples_per_deg", "inf", "finite"]),
         ({"samples_per_deg": np.nan}, ["samples_per_deg", "nan", "finite"]),
-        ({"filters": "isetcam"}, ["filters", "'isetcam'", "'published', 'zhang1996'"]),
-        ({"formula": 1976}, ["formula", "1976", "'1976', '1994', '2000'"]),
+        ({"filters": "isetcam"}, ["filters", "'isetcam'", "'published'", "'zhang1996'"]),
+        ({"formula": 1976}, ["formula", "1976", "'1976'", "'1994'", "'2000'"]),
     ],
 )
 def test_delta_e_map_invalid_input_raises(wrong, parts):
-    scielab.delta_e_map(**GOOD)
+    pixsim.delta_e_map(**GOOD)
     with pytest.raises(PixsimError) as error:
-        scielab.delta_e_map(**{**GOOD, **wrong})
+        pixsim.delta_e_map(**{**GOOD, **wrong})
     assert isinstance(error.value, ValueError)
     assert [part for part in parts if part not in str(error.value)] == []
 
@@ -210,11 +211,12 @@ def test_grey_delta_e_map_strips_match_whole(monkeypatch, filters):
 
 
 def test_grey_delta_e_map_invalid_reference_raises():
-    reference = np.zeros((2, 3, 3))
-    reference[1, 2, 0] = np.nan
-    for shape, message in (((3, 2), r", shape: got \(2, 3, 3\); allowed: \(3, 2, 3\)"), ((2, 3), r": got nan at \[1, 2, 0\]")):
-        with pytest.raises(PixsimError, match="reference_lab" + message):
-            scielab.grey_delta_e_map(reference, np.zeros(shape), white_xyz=D65, samples_per_deg=23.0)
+    wrong = np.zeros((2, 3, 3))
+    with pytest.raises(PixsimError, match=r"reference_lab, shape: got \(2, 3, 3\); allowed: \(3, 2, 3\)"):
+        pixsim.scielab.grey_delta_e_map(wrong, np.zeros((3, 2)), **VIEW)
+    wrong[1, 2, 0] = np.nan
+    with pytest.raises(PixsimError, match=r"reference_lab: got nan at \[1, 2, 0\]"):
+        pixsim.scielab.grey_delta_e_map(wrong, np.zeros((2, 3)), **VIEW)
 
 
 # --- Extremes beyond the table of extreme cases, and that its gates can fail ---

@@ -13,9 +13,8 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from pixsim.base.arrays import Array, dct, empty_planes, inverse_dct, mixed
+from pixsim.base.arrays import Array, Positives, dct, empty_planes, inverse_dct, mixed
 from pixsim.base.bounds import FINITE, Positive
 from pixsim.base.errors import invalid
 from pixsim.viewer.display import WHITE_XYZ
@@ -32,7 +31,7 @@ CHROMA = (
 )
 
 
-def visual_noise(picture: Annotated[Array, FINITE], samples_per_deg: Positive, white_xyz: ArrayLike | None = None) -> float:
+def visual_noise(picture: Annotated[Array, FINITE], samples_per_deg: Positive, white_xyz: Positives | None = None) -> float:
     """Return σ(L*) + 0.852 σ(u*) + 0.323 σ(v*) of an even patch behind the eye's filters, a number in units of CIELUV. [ISO]
 
     The filters keep the mean, and of noise what is near 4 cy/deg, threefold. Below 0 filtered XYZ is taken as 0.
