@@ -14,6 +14,7 @@ COARSE = (0.01, 1.0)  # errors that have one digit: a hundredth of a ΔE is not 
 MAX_WRITTEN = 6  # significant digits of a number that somebody wrote; one with more was computed
 ROUNDING = 1e-9  # of a number; smaller errors are those of its arithmetic
 SURE = 0.999  # the largest probability that is stated
+WITHOUT_POWER = (-4, 15)  # powers of ten of numbers that are written without one
 
 
 def rounded(value: float, digits: int = 2) -> str:
@@ -30,11 +31,15 @@ def estimate(value: float, digits: int = 3) -> str:
 
     >>> estimate(0.9), estimate(76.543), estimate(15234.0), estimate(float("nan"))
     ('0.900', '76.5', '15200', '–')
+    >>> estimate(9.996), estimate(6.4e-6)
+    ('10.0', '6.40e-06')
     """
     if not value or not math.isfinite(value):
         return "0" if value == 0 else UNKNOWN
-    decimals = digits - 1 - _decade(value)
-    return f"{round(value, decimals):.{max(decimals, 0)}f}"
+    decade = _decade(value, digits)
+    if not WITHOUT_POWER[0] <= decade < WITHOUT_POWER[1]:
+        return f"{value:.{digits - 1}e}"
+    return _to_decimals(value, digits - 1 - decade)
 
 
 def pixel_size(side: float) -> str:
@@ -138,7 +143,7 @@ def exposure_times(shortest_s: float, longest_s: float) -> str:
 
 
 def f_stop(value: float) -> str:
-    """Return an f-number to two decimals, three digits at least.
+    """Return an f-number to two decimals.
 
     >>> f_stop(2.8), f_stop(0.53598), f_stop(22.627)
     ('f/2.8', 'f/0.54', 'f/22.63')
@@ -174,18 +179,27 @@ def with_error(value: float, error: float) -> str:
 
     >>> with_error(0.12345, 0.0021), with_error(2.562, 0.04), with_error(0.9731, 0.62), with_error(15234.0, 120.0)
     ('0.1235 ± 0.0021', '2.56 ± 0.04', '1.0 ± 0.6', '15230 ± 120')
-    >>> with_error(12.3456, 0.0021), with_error(1.2345, 0.0)
-    ('12.35 ± 0.01', '1.234 ± 0.000')
+    >>> with_error(12.3456, 0.0021), with_error(1.2345, 0.0), with_error(2.0, 0.096), with_error(-0.04, 0.6)
+    ('12.35 ± 0.01', '1.234 ± 0.000', '2.0 ± 0.1', '0.0 ± 0.6')
+    >>> with_error(1.5e-6, 2e-7), with_error(2.562, float("inf")), with_error(float("nan"), 0.1)
+    ('1.5e-06 ± 0.2e-06', '2.562 ± ∞', '– ± 0.1')
     """
-    decimals = MAX_DIGITS - 1 - _decade(value or error)
+    if not (math.isfinite(value) and math.isfinite(error)):
+        return f"{number(value, MAX_DIGITS)} ± {'∞' if error == math.inf else number(error)}"
+
+    largest = max(abs(value), error)
+    power = _decade(largest, MAX_DIGITS)
+    if largest and not WITHOUT_POWER[0] <= power < WITHOUT_POWER[1]:
+        return " ± ".join(f"{text}e{power:+03d}" for text in with_error(value / 10.0**power, error / 10.0**power).split(" ± "))
+
+    decimals = MAX_DIGITS - 1 - _decade(value or error, MAX_DIGITS)
     if error <= ROUNDING * abs(value):
         error, decimals = 0.0, min(decimals, MAX_DIGITS)
     else:
         digits = 1 if COARSE[0] <= error < COARSE[1] else 2
-        decimals = min(decimals, digits - 1 - _decade(error))
+        decimals = min(decimals, digits - 1 - _decade(error, digits))
         error = max(error, 10.0**-decimals)
-    places = max(decimals, 0)
-    return f"{round(value, decimals):.{places}f} ± {round(error, decimals):.{places}f}"
+    return f"{_to_decimals(value, decimals)} ± {_to_decimals(error, decimals)}"
 
 
 def difference_cells(difference: float, ends: tuple[float, float]) -> tuple[str, str]:
@@ -195,13 +209,22 @@ def difference_cells(difference: float, ends: tuple[float, float]) -> tuple[str,
     (('+0.12', '+0.11 to +0.14'), ('-2.000', '-2.000'))
     """
     half = (ends[1] - ends[0]) / 2
-    value, low, high = (f"{'+' * (end > 0)}{within_error(end, half)}" for end in (difference, *ends))
+    value, low, high = (_with_sign(within_error(end, half)) for end in (difference, *ends))
     return value, span(low, high)
 
 
-def _decade(value: float) -> int:
-    """Return the power of ten of the first digit."""
-    return math.floor(math.log10(abs(value))) if value else 0
+def _with_sign(text: str) -> str:
+    return f"+{text}" if text[0].isdecimal() and text.strip("0.") else text
+
+
+def _decade(value: float, digits: int) -> int:
+    """Return the power of ten of the first digit of a value that is rounded to so many digits: 1 of 9.996 in three digits."""
+    return int(f"{value:.{digits - 1}e}".partition("e")[2])
+
+
+def _to_decimals(value: float, decimals: int) -> str:
+    """Return a value to a number of decimals, which is negative for zeros before the point; 0 has no sign."""
+    return f"{round(value, decimals) + 0.0:.{max(decimals, 0)}f}"
 
 
 def within_error(value: float, error: float) -> str:
@@ -210,7 +233,7 @@ def within_error(value: float, error: float) -> str:
     >>> within_error(2.562, 0.04), within_error(2.562, float("inf"))
     ('2.56', '2.562')
     """
-    return with_error(value, error).partition(" ")[0] if math.isfinite(error) else rounded(value, MAX_DIGITS)
+    return with_error(value, error).partition(" ")[0]
 
 
 def with_ends(value: float, ends: tuple[float, float]) -> str:
@@ -220,7 +243,8 @@ def with_ends(value: float, ends: tuple[float, float]) -> str:
     ('0.12 (0.06 to 0.22)', '10.5 (10.4 to 10.6)', '2 (1 to ∞)')
     """
     half = (ends[1] - ends[0]) / 2
-    low, high = (within_error(end, half) if math.isfinite(end) else "∞" for end in ends)
+    infinite = {math.inf: "∞", -math.inf: "-∞"}
+    low, high = (within_error(end, half) if math.isfinite(end) else infinite.get(end, UNKNOWN) for end in ends)
     return f"{within_error(value, half)} ({low} to {high})"
 
 

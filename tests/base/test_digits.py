@@ -7,27 +7,39 @@ import math
 import pytest
 from hypothesis import assume, given, strategies as st
 
-from pixsim.base.digits import ROUNDING, exposure_time, f_stop, probability, setting_text, with_error
+from pixsim.base.digits import (
+    ROUNDING,
+    difference_cells,
+    estimate,
+    exposure_time,
+    f_stop,
+    probability,
+    setting_text,
+    with_ends,
+    with_error,
+)
 
 NUMBERS = st.floats(-1e6, 1e6)
 ERRORS = st.floats(1e-9, 1e6)
 
 
 def digits_of(text: str) -> int:
-    """Return the significant digits of a number without an exponent, in which trailing zeros of an integer do not count."""
+    """Return the significant digits of a number; trailing zeros of an integer do not count."""
+    text = text.partition("e")[0]
     number = text.lstrip("-0.") if "." in text else text.lstrip("-0").rstrip("0")
     return len(number.replace(".", ""))
 
 
 def decimals_of(text: str) -> int:
-    return len(text.partition(".")[2])
+    return len(text.partition("e")[0].partition(".")[2])
 
 
 @given(NUMBERS, ERRORS)
 def test_value_and_error_end_at_the_same_decimal_with_at_most_four_digits_of_the_value(value: float, error: float) -> None:
     shown, shown_error = with_error(value, error).split(" ± ")
     assert decimals_of(shown) == decimals_of(shown_error)
-    assert digits_of(shown) <= 4 or (digits_of(shown) == 5 and shown.strip("-").startswith("1"))  # 9.9996 is 10.000
+    assert digits_of(shown) <= 4
+    assert not shown.startswith("-") or digits_of(shown)  # no "-0.0"
 
 
 @given(NUMBERS, ERRORS)
@@ -37,6 +49,23 @@ def test_shown_value_is_within_the_error_and_the_error_is_not_smaller(value: flo
     shown, shown_error = map(float, with_error(value, error).split(" ± "))
     assert abs(shown - value) <= 0.5 * shown_error * (1 + 1e-9) + 1e-12 * abs(value)
     assert shown_error >= error * (1 - 1 / 3 - 1e-9)  # 0.0149 is 0.01
+
+
+@given(st.floats(-1e30, 1e30), st.integers(1, 5))
+def test_estimate_is_right_to_its_digits_and_has_all_of_them(value: float, digits: int) -> None:
+    text = estimate(value, digits)
+    assert float(text) == float(f"{value:.{digits - 1}e}")
+    assert len(text) <= 22  # 1e14 to five digits; powers of ten beyond
+    if value and "." in text:
+        assert digits_of(text) == digits
+
+
+@pytest.mark.parametrize(
+    ("value", "error"), [(math.nan, 1.0), (1.0, math.nan), (math.inf, 1.0), (1.0, math.inf), (math.nan, math.nan)]
+)
+def test_numbers_that_are_not_known_have_a_dash_or_are_infinite(value: float, error: float) -> None:
+    texts = with_error(value, error), with_ends(value, (value - error, value + error)), *difference_cells(value, (-error, error))
+    assert not any(word in text for text in texts for word in ("nan", "inf"))
 
 
 @given(st.floats(0, 1), st.integers(1, 60))
