@@ -239,13 +239,19 @@ def within_error(value: float, error: float) -> str:
 def with_ends(value: float, ends: tuple[float, float]) -> str:
     """Return a number with the ends of its interval in brackets, with the digits that half of the interval allows.
 
+    Half of an interval without end is the distance from the other one. A number that would look like an end has a digit more.
+
     >>> with_ends(0.1234, (0.0612, 0.22)), with_ends(10.52, (10.41, 10.64)), with_ends(2.0, (1.0, float("inf")))
-    ('0.12 (0.06 to 0.22)', '10.5 (10.4 to 10.6)', '2 (1 to ∞)')
+    ('0.12 (0.06 to 0.22)', '10.5 (10.4 to 10.6)', '2.0 (1.0 to ∞)')
+    >>> with_ends(0.535, (0.457, 0.692))
+    '0.54 (0.46 to 0.69)'
     """
-    half = (ends[1] - ends[0]) / 2
-    infinite = {math.inf: "∞", -math.inf: "-∞"}
-    low, high = (within_error(end, half) if math.isfinite(end) else infinite.get(end, UNKNOWN) for end in ends)
-    return f"{within_error(value, half)} ({low} to {high})"
+    error = min((ends[1] - ends[0]) / 2, abs(value - ends[0]) if ends[1] == math.inf else math.inf)
+    texts = [within_error(end, error) for end in ends]
+    if error > COARSE[0] and within_error(value, error) in texts:
+        error = max(error / 10, COARSE[0])
+    low, high = ("∞" if end == math.inf else within_error(end, error) for end in ends)
+    return f"{within_error(value, error)} ({low} to {high})"
 
 
 def _without_exponent(text: str) -> str:

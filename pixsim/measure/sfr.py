@@ -982,7 +982,7 @@ def warn_of_shading(distance_px: Array, spread: Array, variance: Array) -> None:
     change = (slopes[1] - slopes[0]) * half_px
     if abs(change) > max(MAX_SHADING * step, SHADING_SIGMAS * math.sqrt(sum(errors)) * half_px):
         words = (
-            f"shading: beside the edge the light changes by {percent(abs(change) / step, 1)} of the step within {half_px:g} px, "
+            f"shading: beside the edge the light changes by {percent(abs(change) / step, 1)} of the step within {half_px:.3g} px, "
             "which the SFR takes for blur or sharpening at low frequency; correct the picture with a flat field, or take a "
             "smaller region"
         )

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pixsim.base.arrays import Array
-from pixsim.base.digits import number, percent, with_ends
+from pixsim.base.digits import number, percent, with_ends, within_error
 from pixsim.base.schema import result_data
 from pixsim.base.tables import table_csv
 from pixsim.measure.sfr import COVERAGE, NYQUIST_CY_PER_PX, EdgeResponse
@@ -74,7 +74,7 @@ def sfr_parts(data: Mapping[str, Any]) -> list[str]:
     bow = f" (bowed by {data['edge_sagitta_px']:.2g} px, degree {data['edge_degree']})" if data["edge_degree"] > 1 else ""
     at_nyquist = with_ends(data["sfr_at_nyquist"], data["sfr_at_nyquist_interval"])
     return [
-        f"{data['channel'] or ''} {_mtf50_words(data)}, {at_nyquist} at Nyquist{_channel_words(data)}".lstrip(),
+        f"{data['channel'] or ''} {_mtf50_words(data)}, SFR {at_nyquist} at Nyquist{_channel_words(data)}".lstrip(),
         f"edge at {data['angle_deg']:.2f}°{bow}, ±{data['half_window_px']:g} px, {data['rows_used']} lines, contrast "
         f"{data['contrast']:.2f}",
         f"in brackets {percent(data['interval_coverage'])} by the picture's noise",
@@ -85,8 +85,11 @@ def _mtf50_words(data: Mapping[str, Any]) -> str:
     low, high = (math.inf if end is None else end for end in data["mtf50_interval_cy_per_px"])
     if data["mtf50_cy_per_px"] is None:
         return f"MTF50 above {data['highest_frequency_cy_per_px']:g} cy/px"
-    on_sensor = f" ({number(data['mtf50_cy_per_mm'], 3)} cy/mm)" if data["pitch_um"] else ""
-    return f"MTF50 {with_ends(data['mtf50_cy_per_px'], (low, high))} cy/px{on_sensor}"
+    mtf50 = f"MTF50 {with_ends(data['mtf50_cy_per_px'], (low, high))} cy/px"
+    if not data["pitch_um"]:
+        return mtf50
+    half_cy_per_mm = (min(high, 2 * data["mtf50_cy_per_px"] - low) - low) / 2 * 1e3 / data["pitch_um"]
+    return f"{mtf50} ({within_error(data['mtf50_cy_per_mm'], half_cy_per_mm)} cy/mm)"
 
 
 def _channel_words(data: Mapping[str, Any]) -> str:
