@@ -13,6 +13,7 @@ MAX_DIGITS = 4  # of a number with an error
 COARSE = (0.01, 1.0)  # errors that have one digit: a hundredth of a ΔE is not seen
 MAX_WRITTEN = 6  # significant digits of a number that somebody wrote; one with more was computed
 ROUNDING = 1e-9  # of a number; smaller errors are those of its arithmetic
+SMALL_UM = 0.1  # smaller sizes of pixels have two digits
 SURE = 0.999  # the largest probability that is stated
 WITHOUT_POWER = (-4, 15)  # powers of ten of numbers that are written without one
 
@@ -45,10 +46,14 @@ def estimate(value: float, digits: int = 3) -> str:
 def pixel_size(side: float) -> str:
     """Return the side of a pixel, to two decimals at most.
 
-    >>> pixel_size(4.0), pixel_size(2.2), pixel_size(2.5612)
-    ('4 µm', '2.2 µm', '2.56 µm')
+    >>> pixel_size(4.0), pixel_size(2.2), pixel_size(2.5612), pixel_size(0.004)
+    ('4 µm', '2.2 µm', '2.56 µm', '0.004 µm')
     """
-    return f"{side:.2f}".rstrip("0").removesuffix(".") + " µm"
+    return f"{float(_micrometres(side)):.15g} µm"
+
+
+def _micrometres(size: float) -> str:
+    return rounded(size) if size < SMALL_UM else f"{size:.2f}"
 
 
 def number(value: float | None, digits: int = 2, least: float = 0.0) -> str:
@@ -98,8 +103,8 @@ def interval(ends: tuple[float | None, float | None]) -> str:
     """
     low, high = ends
     if low is None:
-        return "no limit among the sizes tried" if high is None else f"below {high:.2f} µm"
-    return f"above {low:.2f} µm" if high is None else f"{low:.2f} to {high:.2f} µm"
+        return "no limit among the sizes tried" if high is None else f"below {_micrometres(high)} µm"
+    return f"above {_micrometres(low)} µm" if high is None else span(_micrometres(low), _micrometres(high), unit=" µm")
 
 
 def span(low: float | str, high: float | str, form: str = "", unit: str = "") -> str:

@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from pixsim.base.arrays import Array, stream
+from pixsim.base.caller import setting
 from pixsim.base.digits import rounded
 from pixsim.base.errors import invalid
 from pixsim.base.notes import warn
@@ -145,7 +146,8 @@ def checked_efficiency(physics: PixelPhysics, wavelength_nm: float) -> float:
     efficiency = pixel_efficiency(physics, wavelength_nm)
     if not efficiency > 0:
         such = f"a wavelength with a response, such as {peak_wavelength_nm(physics):g} nm"
-        raise invalid("wavelength_nm", f"{wavelength_nm:g}", f"{such} of channel {physics.channel}" if physics.channel else such)
+        of_channel = f" of channel {physics.channel}" if physics.channel else ""
+        raise invalid(setting("wavelength_nm"), f"{wavelength_nm:g}", f"{such}{of_channel}")
     return efficiency
 
 

@@ -458,6 +458,8 @@ def lens(
         raise invalid(setting("wavelength_nm"), f"{len(wavelength_nm)} of them", f"at most {MAX_WAVELENGTHS}")
     if field_deg is not None and not (field_deg == 0 or 1e-6 <= field_deg < 90):
         raise invalid(setting("field_deg"), f"{field_deg:g}", "0, or 1e-6 to below 90 degrees")
+    if reflectance is not None and not 0 <= reflectance < 1:
+        raise invalid(setting("reflectance"), f"{reflectance:g}", "a number from 0 to below 1")
     with collected_notes() as notes:
         own = load_lens(file, configuration, semi_diameters, vignetting_factors, glass_catalogues, unknown_glass)
         chosen = chosen_lens(own, focal_length_mm, f_number, field_deg, refocus, object_distance_m, focus_nm)

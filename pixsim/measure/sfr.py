@@ -305,7 +305,9 @@ def parts_of(
             raise PixsimError(f"layout: {error}.") from None
     if known is not None and known.planes > 1:
         if whole.ndim != 2 or whole.shape[0] % known.planes:
-            raise invalid("layout", f"{layout} for a picture of shape {whole.shape}", f"rows that {known.planes} planes divide")
+            raise invalid(
+                setting("layout"), f"{layout} for a picture of shape {whole.shape}", f"rows that {known.planes} planes divide"
+            )
         planes = dict(zip(known.channels, np.split(whole, known.planes), strict=True))
         wanted = named_channels(known, channel)
         return [WeightedChannel(weight, [grid_of(cropped(planes[letter], region))]) for letter, weight in wanted], (1, 1), channel
@@ -324,7 +326,7 @@ def parts_of(
     if channel is not None and (place := re.fullmatch(r"(\d+),(\d+)", channel)):
         row, column = int(place[1]), int(place[2])
         if row >= period[0] or column >= period[1]:
-            raise invalid("channel", channel, f"a row,column from 0,0 to {period[0] - 1},{period[1] - 1}")
+            raise invalid(setting("channel"), channel, f"a row,column from 0,0 to {period[0] - 1},{period[1] - 1}")
         return [WeightedChannel(1.0, grids([(row, column)]))], period, channel
     if known is None:
         return [WeightedChannel(1.0, grids(green_places(data, channel or "", (y0, x0))))], period, channel
@@ -354,7 +356,7 @@ def named_channels(layout: Layout, channel: str | None) -> list[tuple[str, float
         *([] if layout.is_stacked else ["a place as 0,1 (row,column)"]),
     ]
     if channel is not None:
-        raise invalid("channel", f"'{channel}' of the layout {layout}", ", ".join(known))
+        raise invalid(setting("channel"), f"'{channel}' of the layout {layout}", ", ".join(known))
     most = layout.channels[int(np.argmax(layout.shares))]
     got = f"a frame of the channels {', '.join(layout.channels)} in the layout {layout}"
     hint = f"As in --channel {most} (channel='{most}'); also {', '.join(one for one in known if one != most)}."
@@ -370,7 +372,7 @@ def green_places(data: Array, channel: str, start: tuple[int, int]) -> list[tupl
     """
     hint = "State the filters as in --layout RG/GB (layout='RG/GB'), or measure one place of 2 × 2: --channel 0,0, 0,1, 1,0 or 1,1."
     if channel != "G":
-        raise invalid("channel", f"'{channel}' of a picture that states no layout", "row,column, or G", hint)
+        raise invalid(setting("channel"), f"'{channel}' of a picture that states no layout", "row,column, or G", hint)
     steps = {}
     for row in (0, 1):
         for column in (0, 1):
@@ -383,7 +385,7 @@ def green_places(data: Array, channel: str, start: tuple[int, int]) -> list[tupl
     alike, other = sorted(apart, key=lambda pair: apart[pair])
     if not (apart[alike] < MAX_PARITY and apart[other] > 5 * max(apart[alike], MAX_PARITY / 5)):
         got = "'G' of a picture that states no layout, and in which no diagonal of 2 × 2 pixels stands out as green"
-        raise invalid("channel", got, "row,column", hint)
+        raise invalid(setting("channel"), got, "row,column", hint)
     places = " and ".join(f"{row},{column}" for row, column in alike)
     words = f"the picture states no layout: green is taken to be at {places} (row,column) of 2 × 2 pixels"
     warn(Note("file_as_read", words=f"{words}, which agree with each other"))
@@ -416,11 +418,13 @@ def cropped(picture: ArrayLike, region: Sequence[int] | None) -> Array:
         raise invalid("edge picture", f"{data.dtype} of shape {data.shape}", "one channel of numbers, (rows, columns)")
     if region is not None:
         if len(region) != 4:
-            raise invalid("region", ",".join(map(str, region)) or "nothing", "four numbers, x0,y0,x1,y1")
+            raise invalid(setting("region"), ",".join(map(str, region)) or "nothing", "four numbers, x0,y0,x1,y1")
         x0, y0, x1, y1 = region
         height, width = data.shape
         if not (0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height):
-            raise invalid("region", ",".join(map(str, region)), f"x0,y0,x1,y1 within 0,0,{width},{height}, x0 < x1 and y0 < y1")
+            raise invalid(
+                setting("region"), ",".join(map(str, region)), f"x0,y0,x1,y1 within 0,0,{width},{height}, x0 < x1 and y0 < y1"
+            )
         data = data[y0:y1, x0:x1]
     if min(data.shape) < MIN_SIDE_PX:
         raise invalid("edge picture", f"{data.shape[1]} × {data.shape[0]} pixels", f"at least {MIN_SIDE_PX} a side")
@@ -1053,7 +1057,7 @@ def read_edge_picture(path: Path, channel: str | None = None) -> EdgePicture:
     if data.ndim == 3:
         rgb = channel or LUMINANCE
         if rgb not in (*LUMINANCE_WEIGHTS, LUMINANCE):
-            raise invalid("channel", f"'{channel}' of '{path}', a picture of red, green and blue", f"R, G, B, {LUMINANCE}")
+            raise invalid(setting("channel"), f"'{channel}' of '{path}', a picture of red, green and blue", f"R, G, B, {LUMINANCE}")
         data = data @ np.array(list(LUMINANCE_WEIGHTS.values())) if rgb == LUMINANCE else data[..., "RGB".index(rgb)]
     layout = layout_of(metadata, data.shape) if rgb is None else None
     levels = black_levels_of(metadata, data.shape)
