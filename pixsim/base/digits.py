@@ -165,6 +165,8 @@ def probability(share: float, pairs: int) -> str:
     >>> probability(0.93, 8), probability(0.5, 8), probability(0.99961, 20), probability(0.99961, 2), probability(0.0, 4)
     ('.93', '.5', '> .999', '> .75', '< .063')
     """
+    if math.isnan(share):
+        return UNKNOWN
     limit = min(SURE, 1 - 0.5**pairs)
     if share > limit:
         return f"> {_share(math.floor(1e3 * limit) / 1e3)}"
@@ -187,10 +189,12 @@ def with_error(value: float, error: float) -> str:
     >>> with_error(12.3456, 0.0021), with_error(1.2345, 0.0), with_error(2.0, 0.096), with_error(-0.04, 0.6)
     ('12.35 ± 0.01', '1.234 ± 0.000', '2.0 ± 0.1', '0.0 ± 0.6')
     >>> with_error(1.5e-6, 2e-7), with_error(2.562, float("inf")), with_error(float("nan"), 0.1)
-    ('1.5e-06 ± 0.2e-06', '2.562 ± ∞', '– ± 0.1')
+    ('1.5e-06 ± 0.2e-06', '2.562 ± ∞', '–')
     """
-    if not (math.isfinite(value) and math.isfinite(error)):
-        return f"{number(value, MAX_DIGITS)} ± {'∞' if error == math.inf else number(error)}"
+    if not math.isfinite(value):
+        return UNKNOWN
+    if not math.isfinite(error):
+        return f"{number(value, MAX_DIGITS)} ± {'∞' if error == math.inf else UNKNOWN}"
 
     largest = max(abs(value), error)
     power = _decade(largest, MAX_DIGITS)

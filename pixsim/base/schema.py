@@ -7,6 +7,7 @@ what changed, whenever an entry or a column is renamed or removed, or means anot
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -76,6 +77,21 @@ def result_data(
 
 
 def json_text(content: Mapping[str, Any]) -> str:
-    """Return results as JSON that states its schema. A JSON schema itself has one of its own."""
+    """Return results as JSON that states its schema. A JSON schema itself has one of its own. NaN and infinity become null.
+
+    >>> print(json_text({"mtf50_cy_per_px": [0.31, float("nan")]}).replace("\\n", ""))
+    {  "mtf50_cy_per_px": [    0.31,    null  ],  "schema": 2}
+    """
     stated = content if "$schema" in content else {KEY: SCHEMA, **content}
-    return json.dumps(stated, indent=2, sort_keys=True, ensure_ascii=False)
+    return json.dumps(_finite(stated), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
+
+
+def _finite(value: Any) -> Any:
+    match value:
+        case float():
+            return value if math.isfinite(value) else None
+        case Mapping():
+            return {key: _finite(inner) for key, inner in value.items()}
+        case list() | tuple():
+            return [_finite(inner) for inner in value]
+    return value

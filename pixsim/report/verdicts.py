@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from pixsim.base.digits import difference_cells, f_stop, probability, rounded, with_error
+import numpy as np
+
+from pixsim.base.digits import UNKNOWN, difference_cells, f_stop, probability, rounded, with_error
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.base.notes import Note
 from pixsim.report.score import judged_by_delta_e, unmet
@@ -38,6 +41,9 @@ def pair_sentence(pairs: Pairs, film: float | None = 0.0) -> str:
     """
     (first, other), metric, size = pairs.names, pairs.metric, abs(pairs.difference)
     unit = " ΔE" if metric.is_delta_e else f"{metric.unit and f' {metric.unit}'} in {metric.words}"
+    if math.isnan(pairs.difference):  # a note says why
+        undefined = [name for name, values in ((first, pairs.a), (other, pairs.b)) if np.isnan(values).any()]
+        return f"{metric.words} is not given for every frame of {' and '.join(undefined)}"
     if not pairs.differences.any():
         return f"{first} and {other} have the same {'mean ΔE' if metric.is_delta_e else metric.words} in every pair of frames"
     better, worse = (first, other) if metric.worse_by(pairs.difference, 0.0) >= 0 else (other, first)
@@ -57,8 +63,10 @@ def pair_sentence(pairs: Pairs, film: float | None = 0.0) -> str:
 def pair_cells(pairs: Pairs) -> tuple[str, str, str]:
     """Return the cells of a table with a pair's difference, its 95 % interval, and the probability that the first one is better.
 
-    One pair of frames has a difference only.
+    One pair of frames has a difference only; a number that a frame does not have, none.
     """
+    if math.isnan(pairs.difference):
+        return UNKNOWN, "", ""
     if pairs.a.size < FEWEST_PAIRS:
         return f"{'+' * (pairs.difference > 0)}{rounded(pairs.difference, 4)}", "", ""
     return *difference_cells(pairs.difference, pairs.interval), probability(pairs.probability_a_better, pairs.a.size)

@@ -190,7 +190,8 @@ def make_chart(
         raise invalid("chart", f"'{kind}'", ", ".join(CHARTS))
     size = {key: value for key, value in (("width", width), ("height", height)) if value is not None}
     if any(not 2 <= value <= 32768 for value in size.values()):
-        raise invalid("chart size", size, "2 to 32768 texels per side")
+        got = " and ".join(f"{key} {value}" for key, value in size.items())
+        raise invalid("chart size", got, "2 to 32768 texels per side")
     if die_mm is not None and (kind not in OF_A_DIE or not 0 < die_mm < 1000):
         raise invalid("chart die_mm", f"{die_mm:g} for {kind}", f"0 to 1000 mm, for {' and '.join(OF_A_DIE)} only")
     if target and kind != "target":

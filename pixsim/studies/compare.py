@@ -380,6 +380,9 @@ def run_prepared(
         lit = lit_cases(cases, [light for light, _ in lights])
         _check(groups, lit)
         table = evaluate_points(lit, files[ROWS_FILE], workers, lambda: stage("sense and score"))
+        for case, rows in zip(cases, table.by_case(), strict=True):
+            for reason in dict.fromkeys(rows.reasons.values()):
+                warn(Note("undefined_metric", words=reason).of(filter(None, [case.sensor, case.condition])))
         sensors = tuple(
             compared_sensor(group, one, light, plan)
             for (group, one), (light, plan) in zip(_with_groups(groups, lit), lights, strict=True)

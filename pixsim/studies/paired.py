@@ -64,10 +64,12 @@ class Pairs:
         return probability_above_zero(sign * self.differences)
 
     def sign(self, error: float = 0.0) -> int:
-        """Return 1 if a is surely better, -1 if b is, 0 if the difference is within half of its interval and a further error."""
-        if self.a.size < FEWEST_PAIRS or abs(self.difference) <= self.half_width + error:
-            return 0
-        return int(np.sign(self.metric.worse_by(self.difference, 0.0)))
+        """Return 1 if a is surely better, -1 if b is, 0 if the difference is within half of its interval and a further error.
+
+        Also 0 where the number is not defined in a frame.
+        """
+        is_sure = self.a.size >= FEWEST_PAIRS and abs(self.difference) > self.half_width + error
+        return int(np.sign(self.metric.worse_by(self.difference, 0.0))) if is_sure else 0
 
 
 def paired(table: Table, a: str, b: str, metric: Metric = DELTA_E, weights: Mapping[str, float] | None = None) -> Pairs:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers.commands import command
 from helpers.film_judges import delta_e_of
 from helpers.looks import Elements
 from helpers.sheets import sheet
@@ -496,3 +498,15 @@ def test_axes_and_conditions_of_options_are_those_of_a_study(tmp_path: Path) -> 
     assert len({case.difference["b"] for case in of_options.cases}) == 2
     finer = pixsim.compare(files, tolerance_delta_e=5.0, **options)
     assert finer.job.shown.first.settings.tolerance_delta_e == 5.0
+
+
+def test_metric_without_a_number_is_said_to_be_missing(tmp_path: Path) -> None:
+    """Of full pixels, whose noise is hidden: no sentence, no table and no JSON has a NaN."""
+    options = f"--exposure.integration-s 1 --pixel.pitch-um 60 --resolution 48 --display.dots 48 --out {tmp_path / 'out'}"
+    command_line = f"compare 0.35um 4t-bsi --scene flat --metrics visual_noise --repeats 2 --jobs 1 {options}"
+    code, out, err = command(command_line)
+    assert (code, out.splitlines()[0]) == (0, "visual noise is not given for every frame of 0.35um and 4t-bsi with match view")
+    assert "warning: 0.35um: the metric visual_noise: got 100 % of the pixels" in err
+    assert "nan" not in out.lower()
+    numbers = (tmp_path / "out" / "compare.json").read_text(encoding="utf-8")
+    json.loads(numbers, parse_constant=pytest.fail)
