@@ -428,6 +428,20 @@ def test_files_of_other_folders_are_refused(tmp_path):
     assert load(scene_of(tmp_path / "inside", mesh.format("../a.obj")), assets=str(tmp_path)).parameters["assets"]
 
 
+def test_link_in_the_scenes_folder_is_not_what_a_parameter_names(tmp_path):
+    """Whoever wrote the scene can name a link as a number that pixsim or the user sets, and as a word that the user types."""
+    (tmp_path / "inside/parts").mkdir(parents=True)
+    for folder in (tmp_path, tmp_path / "inside/parts"):
+        (folder / "a.obj").write_text(OBJ + "f 1 2 3\n")
+    for name in ("1.0", "16", "word"):
+        (tmp_path / "inside" / name).symlink_to(tmp_path)
+    for name, value in (("chart_ratio_x", 1.0), ("samples", 16), ("material", "word")):
+        path = scene_of(tmp_path / "inside", f'<default name="{name}" value="parts"/>' + NAMED["obj"][1].format(f"${name}/a.obj"))
+        assert open_scene(path, {}).text
+        with pytest.raises(PixsimError, match=r"mesh: got '.*a\.obj', of another folder"):
+            open_scene(path, {name: str(value)})
+
+
 def test_spectrum_of_a_file_equals_mitsubas(assets):
     """The table goes into the text with all its digits: Mitsuba reads the same numbers from the file itself."""
     path = scene_of(assets, NAMED["spectrum"][1].format(assets / "a.spd"))
@@ -491,6 +505,43 @@ BAD_MESHES = {
     "negative.obj": ((OBJ + "f -1 -2 -3\n").encode(), "invalid vertex"),
     "long.obj": ((OBJ + "f" + " 1 2 3" * 999).encode(), "long line"),
 }  # fmt: skip
+
+
+def curved_ply(side: int = 300) -> bytes:
+    """A curved square of side² vertices without normals, whose triangles are in a random order."""
+    x, y = np.meshgrid(np.linspace(-1, 1, side), np.linspace(-1, 1, side))
+    vertices = np.stack([x, y, 3 + 0.1 * np.sin(9 * x) * np.cos(7 * y)], -1).astype("<f4")
+    corner = np.arange(side * side).reshape(side, side)
+    one, two, three, four = corner[:-1, :-1], corner[:-1, 1:], corner[1:, :-1], corner[1:, 1:]
+    corners = np.concatenate([np.stack(part, -1).reshape(-1, 3) for part in ((one, two, four), (one, four, three))])
+    faces = np.zeros(len(corners), [("count", "u1"), ("corners", "<i4", 3)])
+    faces["count"], faces["corners"] = 3, np.random.default_rng(0).permutation(corners)
+    position = "property float x\nproperty float y\nproperty float z\n"
+    counts = f"element vertex {side * side}\n{position}element face {len(faces)}\nproperty list uchar int vertex_indices\n"
+    return f"ply\nformat binary_little_endian 1.0\n{counts}end_header\n".encode() + vertices.tobytes() + faces.tobytes()
+
+
+@NEEDS_LLVM
+def test_computed_normals_repeat_bit_for_bit(tmp_path):
+    """Mitsuba sums them up on all threads in any order; an EXR, which it cannot read on one thread, is beside them."""
+    from pixsim.light.exr import write_channels
+
+    (tmp_path / "curved.ply").write_bytes(curved_ply())
+    write_channels(tmp_path / "a.exr", {"Y": np.full((64, 64), 0.5, np.float32)}, {})
+    write_channels(tmp_path / "sky.exr", {name: np.ones((4, 8), np.float32) for name in "RGB"}, {})
+    picture = NAMED["bitmap"][1].format("a.exr").replace("/></texture>", '/><boolean name="raw" value="true"/></texture>')
+    mesh = NAMED["ply"][1].format("curved.ply").replace("</shape>", f"{picture}</shape>")
+    text = open_scene(scene_of(tmp_path, mesh + NAMED["hdr"][1].format("sky.exr"), lit='<integrator type="path"/>'), {}).text
+
+    def normals() -> np.ndarray:
+        with speaking_mitsuba("llvm_ad_spectral") as mi:
+            tracer = OwnTracer(TraceJob("llvm_ad_spectral", text, (None,), 0, {}, None, ()))
+            parameters = mi.traverse(tracer._build(mi, None))
+            return np.array(next(parameters[name] for name in parameters.keys() if name.endswith("vertex_normals")))  # noqa: SIM118
+
+    first = normals()
+    assert np.linalg.norm(first.reshape(-1, 3), axis=1) == pytest.approx(1, abs=1e-5)
+    assert all(np.array_equal(normals(), first) for _ in range(3))
 
 
 def mesh_job(path: Path) -> TraceJob:
@@ -611,6 +662,17 @@ def test_plan_opens_no_file_of_a_scene(tmp_path):
     assert child._child is None
     with pytest.raises(PixsimError, match=r"In line 1 of 'scene\.xml', 'a\.ply': mesh .*got corner 4; allowed: .* 0 to 3"):
         pixsim.render(scene)
+
+
+def test_negative_texels_are_refused_whatever_the_name_of_the_file(tmp_path):
+    """Mitsuba reads a picture by its content."""
+    from pixsim.light.exr import write_channels
+
+    write_channels(tmp_path / "a.exr", {name: np.full((2, 2), -1, np.float32) for name in "RGB"}, {})
+    (tmp_path / "a.exr").rename(tmp_path / "a.png")
+    body = SPHERE.format(NAMED["png"][1].format("a.png"))
+    with pytest.raises(PixsimError, match=r"texture '.*a\.png': got .*-1.*; allowed: finite texels of 0 or more"):
+        rendered(scene_of(tmp_path, body))
 
 
 def test_memory_of_the_child_is_bounded(tmp_path):

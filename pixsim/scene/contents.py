@@ -639,7 +639,7 @@ def asset_files(state: Tree) -> tuple[AssetFile, ...]:
     for index, node in enumerate(state.nodes):
         if "filename" in node:
             path = _file_of(node)
-            has_light = node.kind != "Shape" and index not in maps - others and path.suffix.lower() not in EIGHT_BIT
+            has_light = node.kind != "Shape" and index not in maps - others
             shape_index = int(node.get("shape_index", 0))
             files.append(AssetFile(str(path), digest_of(path), node.plugin, shape_index, has_light, shares.get(index, "")))
     return tuple(files)

@@ -13,6 +13,7 @@ from pixsim.base.errors import PixsimError
 from pixsim.light.spectral import VISIBLE, Span, grid_nm
 
 WAVELENGTHS = 4  # of a ray in Mitsuba's spectral variants
+MESHES = ("ply", "obj", "serialized")  # plugins that read one
 
 
 class OutOfTimeError(PixsimError):
@@ -91,7 +92,7 @@ class AssetFile:
 
     plugin : that reads it
     shape_index : which mesh of a serialized file
-    has_light : whether its texels are light or reflectances in floats, which must be finite and not negative
+    has_light : whether its texels are light or reflectances, which must be finite and not negative
     share : the property that is a share of light and has these texels; empty for others
     """
 

@@ -17,6 +17,8 @@ from pixsim.base.notes import Note, warn
 
 EIGHT_BIT = (".png", ".jpg", ".jpeg", ".bmp", ".tga")
 RADIANCE_START = b"#?"
+EXR_START = b"v/1\x01"
+FLOAT_STARTS = EXR_START, RADIANCE_START, b"PF", b"Pf"
 HDR_SIZE = re.compile(rb"^-Y (\d{1,7}) \+X (\d{1,7})$", re.MULTILINE)
 MAX_HEAD = 1 << 12
 METAL_BY_NAME = (
@@ -38,6 +40,18 @@ def inspect_radiance(path: Path, what: str) -> None:
     if not 1 <= width * height <= MAX_PICTURE:
         raise invalid(f"{what} '{path}'", f"{width} × {height} samples", f"1 to {MAX_PICTURE} in all")
     check_compression(f"{what} '{path}'", 4 * width * height, stored)
+
+
+def is_exr(path: str | Path) -> bool:
+    """Return whether a picture is an OpenEXR by its content, as Mitsuba decides it."""
+    with open(path, "rb") as file:
+        return file.read(len(EXR_START)) == EXR_START
+
+
+def has_floats(path: str | Path) -> bool:
+    """Return whether a picture has texels in floats by its content: an OpenEXR, a Radiance HDR or a PFM."""
+    with open(path, "rb") as file:
+        return file.read(len(EXR_START)).startswith(FLOAT_STARTS)
 
 
 def check_texels(path: Path, texels: NDArray[Any]) -> None:

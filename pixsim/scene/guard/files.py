@@ -24,6 +24,7 @@ from xml.parsers import expat
 from pixsim.base.caller import parameter
 from pixsim.base.errors import PLAIN_WORD, PixsimError, excerpt, invalid
 from pixsim.base.files import is_utf8, missing, read_text
+from pixsim.scene.guard.assets import NUMBER
 from pixsim.scene.packaged import packaged_folder
 
 ALLOWED = "a readable XML file"
@@ -99,10 +100,16 @@ class SceneFiles:
 
     @cached_property
     def roots(self) -> tuple[Path, ...]:
-        """The folders and files that the scene may name, without links: its own folder, packaged data, what the user names."""
-        places = [folder / value for value in self.given.values() if value for folder in (self.folder, Path())]
-        named = [place for place in places if os.path.exists(place)]
-        return tuple(Path(os.path.realpath(place)) for place in (self.folder, packaged_folder(), *named))
+        """The folders and files that the scene may name, without links: its own folder, packaged data, what the user names.
+
+        Numbers name nothing: pixsim sets some parameters itself. Nor do names within the scene's folder: whoever wrote the scene
+        decides where a link there leads.
+        """
+        folder = self.folder
+        values = [value for name, value in self.given.items() if value and (name == ASSETS or not NUMBER.fullmatch(value))]
+        places = [Path(os.path.abspath(base / value)) for value in values for base in (folder, Path())]
+        named = [place for place in places if os.path.exists(place) and not place.is_relative_to(folder)]
+        return tuple(Path(os.path.realpath(place)) for place in (folder, packaged_folder(), *named))
 
     def locate(self, name: str, including: Path, what: str, place: str) -> Path:
         """Return the absolute path of a file that the scene names.

@@ -16,13 +16,12 @@ import numpy as np
 from pixsim.base.errors import PixsimError, invalid, quoted
 from pixsim.base.machine import memory, text_of
 from pixsim.scene.guard.files import escaped
-from pixsim.scene.job import AssetFile, TraceJob
+from pixsim.scene.job import MESHES, AssetFile, TraceJob
 from pixsim.scene.mitsuba import speaking_mitsuba
-from pixsim.scene.textures import check_texels
+from pixsim.scene.textures import check_texels, has_floats
 from pixsim.scene.variants.graphics import CUDA
 
 QUOTED = re.compile(r'"([^"]*)"')
-MESHES = ("ply", "obj", "serialized")
 LEAST_BYTES = 4 << 30
 BYTES_PER_BYTE = 16  # of a file: a compressed half is a float of a picture and of its copies; a face is part of a tree
 
@@ -38,6 +37,8 @@ def limit_memory(job: TraceJob) -> None:
     pages = text_of(Path("/proc/self/statm")).split()
     if not pages or job.variant == CUDA:
         return
+    import resource  # Windows has none
+
     files_bytes = sum(os.path.getsize(file.path) for file in job.files)
     machine = memory()
     room_bytes = min(
@@ -79,7 +80,7 @@ def _highest(variant: str, file: AssetFile) -> float:
     with speaking_mitsuba(variant) as mi:
         if file.plugin in MESHES:
             _check_mesh(mi, file)
-        elif file.has_light:
+        elif file.has_light and (file.plugin == "gridvolume" or has_floats(file.path)):
             picture = mi.VolumeGrid(file.path) if file.plugin == "gridvolume" else mi.Bitmap(file.path)
             texels = np.asarray(picture)
             check_texels(Path(file.path), texels)
@@ -98,6 +99,8 @@ def _check_mesh(mi: ModuleType, file: AssetFile) -> None:
         raise invalid(what, f"{vertices} vertices, {corners.size // 3} faces", "at least one of each")
     if corners.max() >= vertices:
         raise invalid(what, f"corner {corners.max()}", f"whole numbers from 0 to {vertices - 1}, of its vertices")
-    for name in arrays.keys():  # noqa: SIM118
-        if name.startswith("vertex_") and not np.isfinite(np.array(arrays[name])).all():
+    # Of corners without texture coordinates Mitsuba leaves those of an OBJ as the memory was.
+    unset = {"vertex_texcoords"} if file.plugin == "obj" else set()
+    for name in sorted(arrays.keys() - unset):
+        if name.startswith(("vertex_", "face_")) and not np.isfinite(np.array(arrays[name])).all():
             raise invalid(what, f"{name} that are NaN or infinite", "finite numbers")

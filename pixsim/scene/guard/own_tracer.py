@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.scene.job import WAVELENGTHS, Lamps, Passes, TraceJob
+from pixsim.scene.job import MESHES, WAVELENGTHS, Lamps, Passes, TraceJob
 from pixsim.scene.mitsuba import drjit, parse, speaking_mitsuba
+from pixsim.scene.textures import is_exr
 from pixsim.scene.tree import REFERENCES, children, nodes_of, tree_of
 
 if TYPE_CHECKING:
     from mitsuba import Float, Point2f, RayDifferential3f, Sampler, SamplingIntegrator, Scene, Sensor, Spectrum, UInt32, Vector2f
+    from mitsuba.parser import ParserConfig, ParserState
 
 SCALAR_BLOCK = 32  # fixed, since Mitsuba would choose blocks, and with them seeds, by the number of threads
 OF_THE_LENS = ("focal_length", "fov_axis", "aperture_radius", "focus_distance")  # properties that the camera states
@@ -82,7 +84,7 @@ class OwnTracer:
             state.nodes[index].props[name] = mi.load_dict(table)
         config = mi.parser.ParserConfig(self.job.variant)
         mi.parser.transform_all(config, state)
-        built = mi.parser.instantiate(config, state)
+        built = _instantiated(mi, config, state)
         return next(item for item in built if isinstance(item, mi.Scene)) if isinstance(built, list) else built
 
     def _integrator(self, mi: ModuleType, scene: Scene) -> SamplingIntegrator:
@@ -161,6 +163,45 @@ class OwnTracer:
             else:
                 depths_m = np.array(_depth(mi, world, sensor, mi.Point2f(mi.Float(x), mi.Float(y))), np.float32)
             return depths_m.reshape(side, side, 1)
+
+
+def _instantiated(mi: ModuleType, config: ParserConfig, state: ParserState) -> Any:
+    """Return the objects of a scene's nodes, the same bit for bit each time.
+
+    Mitsuba adds up the normals of a mesh without any in float32 on all threads, in an order that varies. So scenes with meshes are
+    built on one thread. There Mitsuba 3.9 would wait for ever for an EXR, so these are read before.
+    """
+    if config.variant.startswith("scalar") or not any(node.props.plugin_name() in MESHES for node in state.nodes):
+        return mi.parser.instantiate(config, state)
+
+    _read_exrs(mi, state)
+    dr = drjit()
+    threads = dr.thread_count()
+    config.parallel = False
+    dr.set_thread_count(1)
+    try:
+        return mi.parser.instantiate(config, state)
+    finally:
+        dr.set_thread_count(threads)
+
+
+def _read_exrs(mi: ModuleType, state: ParserState) -> None:
+    """Put the objects of EXR textures, and the pictures of EXR environments, in the place of their nodes and files."""
+    textures: dict[int, object] = {}
+    for index, node in enumerate(state.nodes):
+        props = node.props
+        if props.plugin_name() == "bitmap" and is_exr(props["filename"]):
+            textures[index] = mi.load_dict({"type": "bitmap"} | {name: props[name] for name in props.keys()})  # noqa: SIM118
+        elif props.plugin_name() == "envmap" and is_exr(props["filename"]):
+            props["bitmap"] = mi.Bitmap(props["filename"])
+            del props["filename"]
+
+    for node in state.nodes:
+        props = node.props
+        references = [name for name in props.keys() if props.type(name).name == "ResolvedReference"]  # noqa: SIM118
+        for name in references:
+            if props[name].index() in textures:
+                props[name] = textures[props[name].index()]
 
 
 def _depth(mi: ModuleType, world: Scene, sensor: Sensor, place: Point2f) -> Float:
