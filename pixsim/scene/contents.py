@@ -176,7 +176,8 @@ def evaluate(key: tuple[Any, ...], variant: str) -> Spectrum:
     # Mitsuba ends at 360 and 830 nm; what a sensor misses beyond them follows from Planck's law.
     nm = np.arange(*BLACK_BODY_NM)
     whole = planck(nm, described["temperature"])
-    shape = whole / planck(np.array([LOW_NM, HIGH_NM]), described["temperature"])[np.where(nm < LOW_NM, 0, 1)]
+    with np.errstate(invalid="ignore"):  # 0/0 where it is too cold to shine
+        shape = whole / planck(np.array([LOW_NM, HIGH_NM]), described["temperature"])[np.where(nm < LOW_NM, 0, 1)]
     inside = (nm >= LOW_NM) & (nm <= HIGH_NM)
     ends = np.where(nm < LOW_NM, values[0], values[-1])
     extended = shape * ends
@@ -186,7 +187,7 @@ def evaluate(key: tuple[Any, ...], variant: str) -> Spectrum:
 
 def planck(wavelength_nm: Array, temperature_k: float) -> Array:
     """Return the spectrum of a black body in any unit, (...) as the wavelengths."""
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", divide="ignore"):
         return np.asarray(wavelength_nm**-5.0 / np.expm1(SECOND_RADIATION_NM_K / (wavelength_nm * temperature_k)))
 
 

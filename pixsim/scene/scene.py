@@ -107,7 +107,7 @@ class Scene:
 
     def parse(self, **more: object) -> Tree:
         """Return the parsed tree of the inspected text, with `more` parameters unless the user set them."""
-        return parse_tree(self.text(**more).text, self.choice.reading)
+        return self._tree(self.text(**more))
 
     def camera(self, options: CameraOptions | None = None, lens: LensOptions | None = None) -> Camera:
         """Return the camera of the file, overridden by the options, with a real lens if `lens` names one.
@@ -134,7 +134,14 @@ class Scene:
 
     def for_camera(self, camera: Camera) -> Tree:
         """Return the parsed tree with the scene's lens and chart parameters set for a camera."""
-        return parse_tree(self.text_for_camera(camera).text, self.choice.reading)
+        return self._tree(self.text_for_camera(camera))
+
+    def _tree(self, text: SceneText) -> Tree:
+        """Return the parsed tree of an inspected text. Raises PixsimError with the place of what Mitsuba cannot parse."""
+        try:
+            return parse_tree(text.text, self.choice.reading)
+        except PixsimError as error:
+            raise PixsimError(text.with_place(str(error))) from None
 
     def text_for_camera(self, camera: Camera) -> SceneText:
         """Return the inspected text with the scene's lens and chart parameters set for a camera."""

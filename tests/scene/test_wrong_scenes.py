@@ -206,6 +206,20 @@ def test_what_mitsuba_refuses_has_the_line_of_the_user_s_file(tmp_path: Path) ->
         pixsim.render(scene_of(tmp_path, include))
 
 
+def test_what_mitsuba_cannot_parse_has_the_line_of_the_user_s_file(tmp_path: Path) -> None:
+    nowhere = '<transform name="to_world"><lookat origin="0,0,0" target="0,0,0" up="0,1,0"/></transform>'
+    with pytest.raises(PixsimError, match=r"In line 7 of 'scene\.xml': invalid lookat transformation"):
+        scene_of(tmp_path, CONSTANT + WALL.format(nowhere))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("temperature_k", ["0", "1e-30"])
+def test_a_black_body_that_is_too_cold_is_a_message(temperature_k: str, tmp_path: Path) -> None:
+    cold = f'<spectrum type="blackbody" name="radiance"><float name="temperature" value="{temperature_k}"/></spectrum>'
+    with pytest.raises(PixsimError, match="spectrum: got NaN or infinity among the wavelengths or values"):
+        make_render_plan(scene_of(tmp_path, f'<emitter type="constant">{cold}</emitter>' + WALL.format("")))
+
+
 def test_an_index_that_mitsuba_refuses_names_its_metal(tmp_path: Path) -> None:
     """A table of one value: Mitsuba names a node of a description that pixsim makes."""
     table = (
