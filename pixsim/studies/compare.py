@@ -22,8 +22,8 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.bounds import Count, Jobs
-from pixsim.base.errors import invalid
-from pixsim.base.files import output_folder, version_of_files
+from pixsim.base.errors import PixsimError, invalid
+from pixsim.base.files import output_folder, read_text, version_of_files
 from pixsim.base.layers import listed
 from pixsim.base.notes import Note, collected_notes, warn, without_warnings
 from pixsim.base.progress import Progress, Stage, no_stage
@@ -44,7 +44,7 @@ from pixsim.studies.paired import Pairs
 from pixsim.studies.prepare import Types
 from pixsim.studies.sensors import PAIR, ComparisonJob, Match, SensorGroup, prepare
 from pixsim.studies.settings import Study, check_asked
-from pixsim.studies.table import CHECK, COLUMNS, ROWS_FILE, check_replaceable_results, is_as_written
+from pixsim.studies.table import CHECK, COLUMNS, MAX_BYTES, ROWS_FILE, check_replaceable_results, is_as_written
 from pixsim.studies.uncertainty import FEW_SENSORS, TYPES_FILE, PairUncertainty, sample_of
 from pixsim.viewer.chain import make_chain
 from pixsim.viewer.dark_clip import dark_clip
@@ -58,6 +58,7 @@ from pixsim.viewer.screen import warn_of_clipping, white_header
 
 # --- results that exist -----------------------------------------------------------------------------------------------------------
 
+MAKE_AGAIN = "Make it again, with its settings.toml."
 RESULTS = {"score.json": "run", "summary.json": "study", "compare.json": "comparison"}
 # What a header of light says of the pixels, not of the light itself.
 OF_PIXELS = {"plan", "bound_e", "spare_e", "render_noise"}
@@ -100,20 +101,26 @@ def read_folder(path: str | os.PathLike[str]) -> ResultFolder:
         raise invalid("results", f"'{folder}' without {', '.join(RESULTS)}", allowed)
     if (version := version_of_files(folder)) != VERSION:
         got = f"'{folder}', of pixsim {version}" if version else f"'{folder}', of an unknown version of pixsim"
-        raise invalid("results", got, f"results of pixsim {VERSION}", "Make it again, with its settings.toml.")
+        raise invalid("results", got, f"results of pixsim {VERSION}", MAKE_AGAIN)
     if not (folder / ROWS_FILE).is_file():
         hint = "A comparison and a study keep theirs in the folder of --out; a run has written one since pixsim 2.0."
         raise invalid("results", f"'{folder}' without {ROWS_FILE}", allowed, hint)
-    try:
-        content = json.loads((folder / files[0]).read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise invalid("results", f"'{folder / files[0]}' ({error})", "JSON") from None
-    check_not_newer(f"'{folder / files[0]}'", content.get("schema"))
+    data_file = folder / files[0]
     kind = RESULTS[files[0]]
+    try:
+        content = json.loads(read_text(data_file, "results", "JSON", MAX_BYTES))
+        check_not_newer(f"'{data_file}'", content.get("schema"))
+        light_and_streams = _light_and_streams(content, kind)
+    except PixsimError:
+        raise
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
+        raise invalid(
+            "results", f"'{data_file}', which is damaged", f"the file of a {kind} as pixsim wrote it", MAKE_AGAIN
+        ) from None
     rows = _rows_of(folder / ROWS_FILE, kind)
     if not rows:
         raise invalid("results", f"'{folder / ROWS_FILE}' without rows", allowed)
-    return ResultFolder(folder, kind, *_light_and_streams(content, kind), rows)
+    return ResultFolder(folder, kind, *light_and_streams, rows)
 
 
 def _light_and_streams(content: Mapping[str, Any], kind: str) -> tuple[dict[str, Mapping[str, Any]], tuple[object, ...]]:
@@ -137,14 +144,15 @@ def _rows_of(path: Path, kind: str) -> dict[tuple[object, ...], dict[str, float]
     """Return the numbers of the rows of results.csv by their places."""
     first_number = PIXEL_STATISTICS[0]
     rows: dict[tuple[object, ...], dict[str, float]] = {}
-    head, *lines = path.read_text(encoding="utf-8").splitlines() or [""]
+    head, *lines = read_text(path, "results", "the rows of a study", MAX_BYTES).splitlines() or [""]
     reader = csv.DictReader([head, *lines])
     names = list(reader.fieldnames or ())
     if names[:3] != list(COLUMNS[:3]) or first_number not in names:
         raise invalid("results", f"'{path}'", "the rows of a study")
     if not all(map(is_as_written, lines)):
-        hint = "Make it again, with its settings.toml."
-        raise invalid("results", f"'{path}', with a row that changed after pixsim wrote it", "rows as pixsim wrote them", hint)
+        raise invalid(
+            "results", f"'{path}', with a row that changed after pixsim wrote it", "rows as pixsim wrote them", MAKE_AGAIN
+        )
 
     labels = names[names.index("repeat") + 1 : names.index(first_number)]
     numbers = [name for name in names[names.index(first_number) :] if name not in (KEY, CHECK)]

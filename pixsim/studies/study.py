@@ -460,7 +460,8 @@ def run_prepared(
     if jobs is None and scheduler is None:
         jobs = jobs_in_memory(largest_frame_bytes([(case.settings, case.camera) for case in job.combinations]))
     with collected_notes() as notes, ExitStack() as stack:
-        check_replaceable_results(Path(out) / "results.csv")
+        for name in ("results.csv", *(map(types_file, drawn_metrics(job.complete)) if asked else ())):
+            check_replaceable_results(Path(out) / name)
         workers, folder = stack.enter_context(workers_for(jobs, scheduler)), stack.enter_context(output_folder(out))
         chosen = job.complete
         lights = render_lights(job.cases, stage, workers, store=PictureFile(folder).stored)

@@ -258,8 +258,8 @@ class Store:
             then = ", and they are computed again; only the settings and the version that wrote them continue them"
             warn(Note("rows_not_continued", rows=f"the rows of '{path}' are {which}", backup=backup, then=then))
         if self.damaged:
-            which = f"{self.damaged} row{'s' * (self.damaged > 1)} of '{path}' changed after pixsim wrote them"
-            warn(Note("rows_not_continued", rows=which, backup=backup, then=", and they are computed again"))
+            which = f"{self.damaged} row{'s' * (self.damaged > 1)} of '{path}' changed after pixsim wrote the file"
+            warn(Note("rows_not_continued", rows=which, backup=backup, then=", and what changed is computed again"))
 
     def finish(self, keys: Collection[str], rows: Iterable[Sequence[Any]]) -> None:
         """Leave only these rows in the file, copied first if it holds others.

@@ -72,6 +72,14 @@ def test_draw_types_rows_are_those_of_a_study_with_its_numbers(
         assert float(row[column]) == pytest.approx(expected[float(row["pitch_um"])][int(row["repeat"])], rel=1e-9)
 
 
+@pytest.mark.parametrize("name", [TYPES_FILE, "types_information.csv"])
+def test_rows_of_types_of_another_program_are_refused_before_anything_is_rendered(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(PixsimError, match=rf"results: got '.*{name}', not written by pixsim"):
+        pixsim.study(small(metrics=["delta_e", "information"]), tmp_path, jobs=1, uncertainty=DRAWS)
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [(name, "mine")]
+
+
 def test_draw_types_by_each_metric(done: tuple[Any, list[Any], Path]) -> None:
     """Around its own optimum, in its own direction."""
     found = done[1]

@@ -83,7 +83,7 @@ def test_a_row_with_any_changed_byte_is_computed_again_with_a_note(tmp_path: Pat
     changed = [line[:place] + bytes([byte ^ 4]) + line[place + 1 :] for place, byte in enumerate(line.rstrip())]
     for other in (*changed, line[: line.rindex(b",")] + b"\r\n"):
         results.path.write_bytes(head + other + right)
-        with pytest.warns(UserWarning, match=r"kept as 'results.csv.old.*', and they are computed again"):
+        with pytest.warns(UserWarning, match=r"kept as 'results.csv.old.*', and what changed is computed again"):
             assert Store(results.path).resume(lambda _: True) == ["right"]
         assert results.path.read_bytes() == head + right
 

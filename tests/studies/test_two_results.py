@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -90,3 +91,23 @@ def test_a_folder_of_another_version_is_named_as_such(folders: dict[str, Path], 
     assert_refused(*command("compare", folders["quiet"], tmp_path), ["without results.csv"])
     (tmp_path / "score.json").unlink()
     assert_refused(*command("compare", folders["quiet"], tmp_path), ["without score.json, summary.json, compare.json"])
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "text"),
+    [
+        ("score.json", b"[1]", "score.json', which is damaged; allowed: the file of a run as pixsim wrote it. Make it again"),
+        ("score.json", b"{}", "score.json', which is damaged"),
+        ("score.json", b"{", "score.json', which is damaged"),
+        ("results.csv", b"key,technology,pitch_um\n\xff\n", "results.csv' ('utf-8' codec can't decode byte 0xff"),
+    ],
+)
+def test_a_damaged_file_of_a_result_is_named(
+    name: str, content: bytes, text: str, folders: dict[str, Path], tmp_path: Path
+) -> None:
+    for path in folders["quiet"].iterdir():
+        if path.is_file():
+            (tmp_path / path.name).write_bytes(path.read_bytes())
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(PixsimError, match=re.escape(text)):
+        pixsim.compare_results(folders["quiet"], tmp_path)
