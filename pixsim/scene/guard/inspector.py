@@ -47,7 +47,8 @@ STEPS_OF_TRANSFORM = ("translate", "rotate", "scale", "lookat", "matrix")
 MAX_NAME = 256
 ANY = -LARGEST, LARGEST
 MAX_TABLES = 16 << 20  # characters of all files of spectra, which become part of the text
-LINE_OF_TEXT = re.compile(r"\b(?:At|Error while loading) string \(line (\d{1,9}), col \d{1,9}\)")  # as Mitsuba names an element of a text
+# As Mitsuba names an element of a text.
+LINE_OF_TEXT = re.compile(r"\b(?:At|Error while loading) string \(line (\d{1,9}), col \d{1,9}\)")
 WHOLE = re.compile(r"\s*-?\d{1,18}\s*")
 FLAGS = ("true", "false")
 OF_TEXTURES = ("value", "values", "color0", "color1")  # what a texture gives
