@@ -784,6 +784,22 @@ def test_control_characters_do_not_reach_the_terminal(line, tmp_path):
     assert out == ""
 
 
+def test_openexr_writes_no_name_to_the_terminal(tmp_path, capfd):
+    """Its C library has words of its own for damaged pixels, with the name of the file as it is."""
+    from pixsim.light.exr import read_channels, write_channels
+
+    write_channels(tmp_path / "\x1b]0;x.exr", {"Y": np.random.default_rng(0).random((64, 64)).astype(np.float32)}, {})
+    (path,) = tmp_path.glob("*.exr")
+    content = bytearray(path.read_bytes())
+    content[-999:] = bytes(999)
+    path.write_bytes(content)
+    with pytest.raises(PixsimError, match="EXR file: got"):
+        read_channels(path)
+    assert capfd.readouterr() == ("", "")
+    print("after", file=sys.stderr)
+    assert capfd.readouterr() == ("", "after\n")
+
+
 def test_control_characters_of_a_header_are_escaped(tmp_path):
     """In text and in JSON, which stays JSON of the same content."""
     image = pixsim.render(load("flat", resolution=4, spp=4))

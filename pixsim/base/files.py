@@ -39,6 +39,7 @@ from pixsim.base.schema import KEY, check_not_newer, json_text
 from pixsim.base.version import VERSION
 
 FOLDER_VARIABLE = "PIXSIM_CACHE_DIR"
+STDERR = 2  # its file descriptor
 
 
 def cache_folder() -> Path:
@@ -551,7 +552,14 @@ def reason(error: Exception) -> str:
 
 
 @contextmanager
-def quiet_stdout() -> Iterator[None]:
-    """Discard what the OpenEXR module prints to stdout, which is reserved for results."""
-    with redirect_stdout(io.StringIO()):
+def quiet_output() -> Iterator[None]:
+    """Discard what OpenEXR prints of a damaged file, with its name as it is: its module to stdout, its C library to stderr."""
+    with redirect_stdout(io.StringIO()), ExitStack() as restored:
+        with suppress(OSError):  # there is no standard error
+            before = os.dup(STDERR)
+            restored.callback(os.close, before)
+            null = os.open(os.devnull, os.O_WRONLY)
+            restored.callback(os.close, null)
+            os.dup2(null, STDERR)
+            restored.callback(os.dup2, before, STDERR)
         yield

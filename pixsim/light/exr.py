@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pixsim.base.bounds import LARGEST, SMALLEST
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.files import check_compression, check_size, opened, quiet_stdout, replacing
+from pixsim.base.files import check_compression, check_size, opened, quiet_output, replacing
 from pixsim.base.mapped import release
 from pixsim.light.spectral import DIFFUSER, DIFFUSER_W, EDGE, LAMP, WHITE_LAMPS, WHOLE, SpectralImage
 
@@ -195,7 +195,7 @@ def _opened(path: str | os.PathLike[str], **options: bool) -> Iterator[Any]:
     import OpenEXR
 
     try:
-        with quiet_stdout():
+        with quiet_output():
             opened = OpenEXR.File(str(path), separate_channels=True, **options)
         with opened as file:
             yield file
