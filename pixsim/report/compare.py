@@ -88,7 +88,7 @@ from pixsim.studies.settings import paths_of
 from pixsim.studies.table import ROWS_FILE
 from pixsim.studies.uncertainty import FEW_SENSORS, TYPES_FILE
 from pixsim.viewer.display import white_light
-from pixsim.viewer.metrics import Metric
+from pixsim.viewer.metrics import DELTA_E as DELTA_E_METRIC, Metric
 from pixsim.viewer.screen import LightLevel
 from pixsim.viewer.setting import Run
 
@@ -598,7 +598,8 @@ def _differences(result: Comparison, metric: Metric) -> DocumentTable:
     film_head = ["film's error, at most"] if metric.is_delta_e else []
     head = ("case", "sensors", "mean", "95 % interval", f"probability that {first} is better", *film_head)
     name = "mean ΔE" if metric.is_delta_e else metric.title
-    return DocumentTable(f"differences of {name}", head, rows, "" if metric.is_delta_e else name, words=(1,), stacks=True)
+    caption = "" if asked_metrics(result.job) == (DELTA_E_METRIC,) else name
+    return DocumentTable(f"differences of {name}", head, rows, caption, words=(1,), stacks=True)
 
 
 def _settings(result: Comparison) -> list[Block]:
