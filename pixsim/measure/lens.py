@@ -451,7 +451,8 @@ def lens(
     (8.0, True)
     """
     positive = [("focal_length_mm", focal_length_mm), ("f_number", f_number), ("object_distance_m", object_distance_m)]
-    for name, value in [*positive, ("pitch_um", pitch_um), *(("wavelength_nm", nm) for nm in wavelength_nm)]:
+    positive += [("focus_nm", focus_nm), ("pitch_um", pitch_um), *(("wavelength_nm", nm) for nm in wavelength_nm)]
+    for name, value in positive:
         if value is not None and not LEAST_LENGTH <= value <= 1 / LEAST_LENGTH:
             raise invalid(setting(name), f"{value:g}", f"a number above 0, {LEAST_LENGTH:g} to {1 / LEAST_LENGTH:g}")
     if len(wavelength_nm) > MAX_WAVELENGTHS:

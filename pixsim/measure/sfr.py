@@ -1121,6 +1121,9 @@ def sfr(
     lowest, highest = METADATA_RANGES["pitch_um"]
     if pitch_um is not None and not lowest <= pitch_um <= highest:
         raise invalid(setting("pitch_um"), f"{pitch_um:g}", f"a number above 0, {lowest:g} to {highest:g}")
+    for name, level_dn in (("black", black), ("saturation", saturation)):
+        if level_dn is not None and not math.isfinite(level_dn):
+            raise invalid(setting(name), f"{level_dn:g}", "a finite number")
     with collected_notes() as notes:
         picture = read_edge_picture(Path(image), channel)
         if layout is not None and picture.channel is not None:

@@ -204,12 +204,15 @@ def asked_of(uncertainty: int | None, sobol: int | None, smaller_than_um: Sequen
     smaller_than_um : as in `Asked`
     spreads : `Asked.uncertainty`
 
-    Raises PixsimError for both numbers of types, and for sizes without any.
+    Raises PixsimError for both numbers of types, for sizes without any, and for those that are not above 0.
     """
     if uncertainty is not None and sobol is not None:
         raise invalid(setting("uncertainty"), f"with {setting('sobol')}", "one of the two")
     draws = uncertainty if sobol is None else sobol
     if draws is not None:
+        for size_um in smaller_than_um:
+            if not 0 < size_um < math.inf:
+                raise invalid(setting("smaller_than_um"), f"{size_um:g}", "a size above 0 µm")
         return Asked(draws, sobol is not None, tuple(smaller_than_um), spreads)
     if smaller_than_um:
         got = f"without {setting('uncertainty')}"
