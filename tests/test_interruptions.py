@@ -616,6 +616,28 @@ def test_publishing_full_disk_names_file_and_what_is_kept(has_name: bool, tmp_pa
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
+def test_publishing_on_a_disk_without_room_for_a_folder_moves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Moves need no room, folders and the list of files do: they are made before."""
+
+    def write(text: str) -> None:
+        with publishing(tmp_path) as folder:
+            (folder / "a.txt").write_text(text)
+            if text == "after":
+                (folder / "figures").mkdir()
+                (folder / "figures/b.txt").write_text(text)
+                monkeypatch.setattr("pathlib.Path.mkdir", fails)
+
+    def fails(path: Path, **_: object) -> None:
+        if not path.is_dir():
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+    write("before")
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    with pytest.raises(UnwritableError, match=r"figures' cannot be written .* before are unchanged"):
+        write("after")
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
 def test_replacing_full_disk_names_file(tmp_path: Path) -> None:
     pattern = r"No space left on device.*a\.txt'"

@@ -326,11 +326,13 @@ def publishing(folder: Path, provenance: Mapping[str, Any] | None = None) -> Ite
             before = read_list(folder).get("files", ())
             listed = sorted({*made, *(name for name in before if os.path.lexists(folder / name))})
             content = {"versions": versions(), **(provenance or {}), "files": listed}
+            # All that needs room on the disk is made before the first file is moved.
+            write_json(partial / LIST, content | {"written": made}, named=False)
+            for name in made:
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
             write_json(folder / LIST, content, named=False)
-        for name in sorted(made):
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        for name in (*sorted(made), LIST):
             os.replace(partial / name, folder / name)
-        write_json(folder / LIST, content | {"written": made}, named=False)
 
 
 def _stamp(path: Path) -> list[int]:

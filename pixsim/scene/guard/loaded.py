@@ -32,8 +32,6 @@ def limit_memory(job: TraceJob) -> None:
     Call it when Mitsuba's variant is set: LLVM and threads reserve addresses that they do not use. There is no limit for graphics
     cards, whose driver maps all memory of the card, and on systems that do not say what is mapped.
     """
-    import resource  # Windows has none
-
     pages = text_of(Path("/proc/self/statm")).split()
     if not pages or job.variant == CUDA:
         return
