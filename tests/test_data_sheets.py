@@ -325,8 +325,8 @@ ONE_RENDER: dict[str, Any] = {
 
 
 def numbers(folder: Path, technology: str | None = None) -> list[list[str]]:
-    """Rows without key and technology."""
-    return [list(row.values())[2:] for row in rows(folder) if technology in (None, row["technology"])]
+    """Rows without key, technology and check."""
+    return [list(row.values())[2:-1] for row in rows(folder) if technology in (None, row["technology"])]
 
 
 def test_study_of_data_sheets_gives_curves_of_each_alone(tmp_path: Path) -> None:

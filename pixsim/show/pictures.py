@@ -62,8 +62,9 @@ def display_codes(light: Array) -> NDArray[np.uint8]:
 
 
 def light_png(light: Array) -> bytes:
-    """Return relative luminance (H, W), or light of the primaries (H, W, 3), as a PNG encoded for a display of gamma 2.2."""
-    return png_bytes(display_codes(light))
+    """Return relative luminance (H, W), or light of the primaries (H, W, 3), as an RGB PNG encoded for a display of gamma 2.2."""
+    codes = display_codes(light)
+    return png_bytes(codes if codes.ndim == 3 else np.repeat(codes[:, :, None], 3, axis=2))
 
 
 def scale_end(p99_delta_e: float) -> float:
@@ -132,13 +133,11 @@ def font(size: int) -> FreeTypeFont:
 
 
 def png_bytes(codes: NDArray[np.uint8]) -> bytes:
-    """Return grey (H, W) or coloured (H, W, 3) codes as a PNG, a grey one where all colours are equal."""
+    """Return grey (H, W) or coloured (H, W, 3) codes as a PNG."""
     from PIL import Image, PngImagePlugin
 
     metadata, content = PngImagePlugin.PngInfo(), io.BytesIO()
     metadata.add_text("Software", "pixsim")
-    if codes.ndim == 3 and (codes == codes[:, :, :1]).all():
-        codes = codes[:, :, 0]
     # Noise does not repeat: run lengths alone take a sixth of the time and even fewer bytes.
     compression = {"compress_type": zlib.Z_RLE} if codes.ndim == 2 else {"compress_level": COLOUR_LEVEL}
     Image.fromarray(np.ascontiguousarray(codes)).save(content, "png", pnginfo=metadata, **compression)
@@ -162,8 +161,9 @@ class Picture:
 
     @cached_property
     def png(self) -> bytes:
-        """The picture as PNG."""
-        return png_bytes(self.codes)
+        """The picture as PNG, a grey one where all colours are equal."""
+        is_grey = self.codes.ndim == 3 and bool((self.codes == self.codes[:, :, :1]).all())
+        return png_bytes(self.codes[:, :, 0] if is_grey else self.codes)
 
     @property
     def height(self) -> int:

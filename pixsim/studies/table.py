@@ -304,13 +304,16 @@ class Store:
                 raise invalid("results", f"'{path}' ({error.strerror})", allowed) from None
 
     def _has_numbers(self, row: Row) -> bool:
-        """Return whether a row has a number in every column of numbers: it may be of other metrics."""
+        """Return whether a row has all of its numbers: it may be of other metrics.
+
+        A row that lacks one is computed again, since it does not tell the reason, which notes state.
+        """
         try:
-            for name in (*OF_PIXEL[2:], *columns_of_metrics(self.metrics)):
-                float(row[name])
+            optional = {name for metric in self.metrics for name in metric.variants if metric.may_lack(name, float(row[name]))}
+            names = [name for name in (*OF_PIXEL[2:], *columns_of_metrics(self.metrics)) if name not in optional]
+            return all(math.isfinite(float(row[name])) for name in names)
         except (KeyError, ValueError):
             return False
-        return True
 
     def _back_up(self, path: Path) -> str:
         """Copy the file to FILE.old, or FILE.old2 and so on if there are such copies of other content; return the name."""

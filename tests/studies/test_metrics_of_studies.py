@@ -118,7 +118,7 @@ def test_study_has_columns_and_optima_of_each_metric(judged: tuple[StudyResult, 
     result, folder = judged
     found = rows(folder)
     of_information = ["information", "information_bits_per_deg2", "information_low_contrast", "information_high_contrast"]
-    assert list(found[0])[-6:] == [*of_information, "mtf50_cy_per_mm", "schema"]
+    assert list(found[0])[-7:] == [*of_information, "mtf50_cy_per_mm", "schema", "check"]
     own = result.curves[0]
     assert list(own.optima) == ["delta_e", "information"], "an MTF50 tells no best size"
     assert own.optimum is own.optima["delta_e"]

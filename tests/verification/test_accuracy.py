@@ -68,7 +68,7 @@ def check(accuracy: Accuracy, folder: Path) -> None:
     assert "nan" not in re.sub(r'"data:[^"]*"', "", text).lower()
     lines = text_of_document(accuracy_document(accuracy)).splitlines()
     assert lines[0].startswith("Default settings: ")
-    assert f"mean ΔE {accuracy.rungs[-1].mean_delta_e:.3f}, error {number(accuracy.rungs[-1].error_delta_e)}" in repr(accuracy)
+    assert f"mean ΔE {accuracy.rungs[-1].mean_delta_e:.2f}, error {number(accuracy.rungs[-1].error_delta_e)}" in repr(accuracy)
     assert "1 of 2 extreme cases" in accuracy._repr_html_()
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     json.dumps(summary, allow_nan=False)

@@ -504,7 +504,7 @@ def test_tone_curve_lies_next_to_its_file(tmp_path: Any) -> None:
     (tmp_path / "own.toml").write_text('[develop]\ntone_curve = "curve.csv"\n')
     result = pixsim.run("flat", config=tmp_path / "own.toml", resolution=32, display={"dots": 32}, pixel={"pitch_um": 42.4})
     assert result.settings.develop.tone_curve == ((0.0, 0.0), (0.2, 0.5), (1.0, 1.0))
-    assert "tone curve of a table" in result._repr_html_()
+    assert "Tone curve of a table" in result._repr_html_()
 
 
 def test_axis_over_the_development_of_a_study_shares_its_frames(tmp_path: Any) -> None:
