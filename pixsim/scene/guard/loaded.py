@@ -35,6 +35,7 @@ def limit_memory(job: TraceJob) -> None:
     pages = text_of(Path("/proc/self/statm")).split()
     if not pages or job.variant == CUDA:
         return
+    import resource  # Windows has none
 
     files_bytes = sum(os.path.getsize(file.path) for file in job.files)
     machine = memory()
