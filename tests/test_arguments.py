@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import inspect
 import math
+import re
 import signal
 import warnings
 from collections.abc import Callable, Iterator
@@ -397,6 +398,22 @@ def test_write_of_any_result_names_a_wrong_argument(argument: str, value: object
     with pytest.raises(PixsimError, match=f"^{argument}: got "):
         score().write(**arguments)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"parameters": {"strength": None}}, "parameters['strength']: got None"),
+        ({"parameters": {"list": [1]}}, "parameters['list']: got [1]"),
+        ({"parameters": {1: 2}}, "parameters[1]: got 1"),
+        ({"config": np.array(1.0)}, "config: got array(1.)"),
+        ({"smaller_than_um": [1.0, "x"]}, "smaller_than_um[1]: got 'x'"),
+    ],
+)
+def test_a_part_at_fault_is_named_by_its_place(arguments: dict[str, Any], said: str, tmp_path: Path) -> None:
+    """Also one whose name begins as pydantic's names of kinds do; an array without axes is no list."""
+    with pytest.raises(pixsim.PixsimError, match=re.escape(said)):
+        pixsim.study("chen2000", tmp_path / "out", **arguments)
 
 
 def test_arrays_are_known_by_their_aliases(monkeypatch: pytest.MonkeyPatch) -> None:

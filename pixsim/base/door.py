@@ -10,6 +10,7 @@ import inspect
 import math
 import numbers
 import os
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, wraps
 from types import ModuleType, NoneType, UnionType
@@ -277,13 +278,15 @@ def _callable(value: Any) -> Any:
 
 
 def _list(value: Any) -> Any:
-    if not isinstance(value, Iterable) or isinstance(value, str | bytes | Mapping):
+    is_single = isinstance(value, str | bytes | Mapping) or getattr(value, "ndim", None) == 0
+    if not isinstance(value, Iterable) or is_single:
         raise _refusal(brief(value), "a list")
     return list(value)
 
 
 # --- what pydantic says -----------------------------------------------------------------------------------------------------------
 
+KIND = re.compile(r"str|[a-z-]*\[.*\]", re.DOTALL)  # pydantic's names of kinds in the place of a problem, such as list[str]
 ALLOWED = {
     "string_type": "a text",
     "is_instance_of": "a {class}",
@@ -327,8 +330,7 @@ def _place(problem: ErrorDetails) -> str:
 
 
 def _keys(problem: ErrorDetails) -> set[str]:
-    kinds = ("function", "union", "list", "dict", "tuple", "str", "is-instance", "nullable", "lax-or-strict", "json-or-python")
-    return {part for part in problem["loc"][1:] if isinstance(part, str) and not part.startswith(kinds)}
+    return {part for part in problem["loc"][1:] if isinstance(part, str) and not KIND.fullmatch(part)}
 
 
 def _problem(name: str, value: object, problems: Sequence[ErrorDetails], *, optional: bool = False) -> PixsimError:
