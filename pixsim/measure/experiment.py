@@ -8,6 +8,7 @@ so that it does not depend on which other frames are captured.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -143,7 +144,7 @@ def pixel_efficiency(physics: PixelPhysics, wavelength_nm: float) -> float:
 
 def checked_efficiency(physics: PixelPhysics, wavelength_nm: float) -> float:
     """`pixel_efficiency`; raises PixsimError at a wavelength without response."""
-    efficiency = pixel_efficiency(physics, wavelength_nm)
+    efficiency = pixel_efficiency(physics, wavelength_nm) if 0 < wavelength_nm < math.inf else 0.0
     if not efficiency > 0:
         such = f"a wavelength with a response, such as {peak_wavelength_nm(physics):g} nm"
         of_channel = f" of channel {physics.channel}" if physics.channel else ""

@@ -116,6 +116,7 @@ INVALID = {
     "datasheet nothing": ["technology: got 'nothing'"],
     "datasheet --pixel.bits 2": ["pixel.bits: got 2"],
     "datasheet --wavelength-nm 2000": ["--wavelength-nm: got 2000"],
+    "datasheet --wavelength-nm nan": ["--wavelength-nm: got nan; allowed: a wavelength with a response, such as"],
     "lens": ["FILE"],
     "lens phone --f-number 2.8": ["f_number: got 2.8", "at least 3.5, the widest of 'phone'"],
     "lens phone --focal-length-mm -5": ["--focal-length-mm: got -5", "above 0"],
