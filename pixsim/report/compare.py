@@ -320,7 +320,8 @@ def facts(result: Comparison) -> Iterator[Block]:
         for other in result.names[1:]
         if len(result.cases) > 1
     ]
-    answers += map(pair_words, result.uncertainty)
+    asked = {metric.name for metric in (first, *further)}
+    answers += [pair_words(drawn) for drawn in result.uncertainty if drawn.metric.name in asked]
     answers += ["; ".join(verdict_parts(result, other, metric)) for metric in further for other in result.names[1:]]
     if answers:
         yield Listed(answers)
