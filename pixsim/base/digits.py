@@ -211,14 +211,16 @@ def with_error(value: float, error: float) -> str:
     return f"{_to_decimals(value, decimals)} ± {_to_decimals(error, decimals)}"
 
 
-def difference_cells(difference: float, ends: tuple[float, float]) -> tuple[str, str]:
-    """Return a difference and its interval, with signs and the digits that half of the interval allows.
+def difference_cells(difference: float, ends: tuple[float, float], further_error: float = 0.0) -> tuple[str, str]:
+    """Return a difference and its interval, with signs and the digits that half of the interval and a further error allow.
 
     >>> difference_cells(0.12345, (0.11, 0.137)), difference_cells(-2.0, (-2.0, -2.0))
     (('+0.12', '+0.11 to +0.14'), ('-2.000', '-2.000'))
+    >>> difference_cells(-0.0641, (-0.0659, -0.0622), 0.018)
+    ('-0.06', '-0.07 to -0.06')
     """
-    half = (ends[1] - ends[0]) / 2
-    value, low, high = (_with_sign(within_error(end, half)) for end in (difference, *ends))
+    error = (ends[1] - ends[0]) / 2 + further_error
+    value, low, high = (_with_sign(within_error(end, error)) for end in (difference, *ends))
     return value, span(low, high)
 
 

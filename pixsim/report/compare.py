@@ -591,10 +591,10 @@ def _differences(result: Comparison, metric: Metric) -> DocumentTable:
         for match, condition in product(matches, (None, *conditions)):
             pairs = case.pairs(other, metric, match=match, condition=condition)
             mean = "weighted mean" if conditions else ""
-            film = case.film_of_pair(other, match, condition)
-            add([case.case.words, condition or mean, f"match {match}"], other, pair_cells(pairs), film)
+            film = case.film_of_pair(other, match, condition) if metric.is_delta_e else 0.0
+            add([case.case.words, condition or mean, f"match {match}"], other, pair_cells(pairs, film), film)
         for display in case.display_differences(other)[1:] if metric.is_delta_e else ():
-            cells = difference_cells(display.difference, display.interval_delta_e)
+            cells = difference_cells(display.difference, display.interval_delta_e, display.film_delta_e or 0.0)
             add([case.case.words, f"{display.dots} dots"], other, (*cells, ""), display.film_delta_e)
     film_head = ["film's error, at most"] if metric.is_delta_e else []
     head = ("case", "sensors", "mean", "95 % interval", f"probability that {first} is better", *film_head)

@@ -60,8 +60,10 @@ def pair_sentence(pairs: Pairs, film: float | None = 0.0) -> str:
     return f"{better} is better than {worse} by {shown} (probability {chance}){visible}"
 
 
-def pair_cells(pairs: Pairs) -> tuple[str, str, str]:
+def pair_cells(pairs: Pairs, film: float | None = 0.0) -> tuple[str, str, str]:
     """Return the cells of a table with a pair's difference, its 95 % interval, and the probability that the first one is better.
+
+    film : as in `pair_sentence`
 
     One pair of frames has a difference only; a number that a frame does not have, none.
     """
@@ -69,7 +71,8 @@ def pair_cells(pairs: Pairs) -> tuple[str, str, str]:
         return UNKNOWN, "", ""
     if pairs.a.size < FEWEST_PAIRS:
         return f"{'+' * (pairs.difference > 0)}{rounded(pairs.difference, 4)}", "", ""
-    return *difference_cells(pairs.difference, pairs.interval), probability(pairs.probability_a_better, pairs.a.size)
+    chance = probability(pairs.probability_a_better, pairs.a.size)
+    return *difference_cells(pairs.difference, pairs.interval, film or 0.0), chance
 
 
 def draw_differences(axes: Axes, pairs: Sequence[Pairs], labels: Sequence[str]) -> None:

@@ -407,10 +407,10 @@ def test_compare_prints_answer(compared: tuple[Path, str]) -> None:
     assert lines[-1] == f"report: {folder / 'report.html'}"
 
 
-def difference_cell(difference: float, interval: list[float]) -> str:
-    """Return the cell of a page's table with a difference, as its interval allows."""
+def difference_cell(difference: float, interval: list[float], film_delta_e: float | None) -> str:
+    """Return the cell of a page's table with a difference, as its interval and the film's error allow."""
     low, high = interval
-    return f">{difference_cells(difference, (low, high))[0]}</td>"
+    return f">{difference_cells(difference, (low, high), film_delta_e or 0.0)[0]}</td>"
 
 
 def test_compare_json_is_consistent_and_on_the_page(compared: tuple[Path, str]) -> None:
@@ -434,7 +434,7 @@ def test_compare_json_is_consistent_and_on_the_page(compared: tuple[Path, str]) 
     words = " ".join(html.unescape(re.sub(r"<[^>]*>", "", page)).split())
     assert answer in words
     assert [part for part in common.split("; ") if part not in words] == []
-    assert difference_cell(found["difference"][b], found["interval_delta_e"][b]) in page
+    assert difference_cell(found["difference"][b], found["interval_delta_e"][b], found["film_delta_e"][b]) in page
     assert "<td>10000</td>" in page, "the well, without an exponent"
 
 
@@ -449,7 +449,7 @@ def test_compare_of_three_has_a_verdict_and_rows_of_displays_for_each_pair(tmp_p
     for name in ("noisy_one", "worst"):
         assert page.count(f">{name} − quiet</td>") == 2 + 2, "two matches, two further displays"
         for each in found["displays"][name]:
-            assert difference_cell(each["difference"], each["interval_delta_e"]) in page
+            assert difference_cell(each["difference"], each["interval_delta_e"], each["film_delta_e"]) in page
 
 
 def test_compare_study_answers_with_the_weighted_mean(under_study: tuple[Path, str]) -> None:
@@ -480,7 +480,7 @@ def test_compare_study_answers_with_the_weighted_mean(under_study: tuple[Path, s
     page = " ".join(text_of(folder).split())
     assert "never, day" not in page, "rows of conditions and of the mean are those of no other condition"
     for each in (found, *own.values()):
-        assert difference_cell(each["difference"][b], each["interval_delta_e"][b]) in page
+        assert difference_cell(each["difference"][b], each["interval_delta_e"][b], each["film_delta_e"][b]) in page
     assert "Pictures in day" in re.sub(r"<[^>]*>", "", page)
     assert "condition night.pixel.temperature_k</th><td>310</td>" in page
     for line in common.split("; "):
