@@ -57,8 +57,9 @@ With pitch_um, full_well_e, read_noise_e, dark_current_e_per_s and quantum_effic
 technology is needed; if one of them is missing, it comes from a technology, by default 0.35um.
 """
 STUDY_HEAD = """
-A study of pixel sizes, for `pixsim study THIS_FILE`. The numbers below are examples: replace them with yours. Lines with one
-# show defaults, or examples of optional values; remove the # to set them. Optional values of [pixel] come from the technology.
+A study of pixel sizes, for `pixsim study THIS_FILE`. The numbers below are examples: replace them with yours.
+Lines with one # show defaults, or examples of optional values; remove the # to set them. Optional values of [pixel] come from
+the technology.
 """
 UNCERTAINTY = (
     "how far numbers of the data sheet may be wrong, each by its standard deviation or its range; frames do not depend on it"
