@@ -244,8 +244,8 @@ def test_render_top_left_is_kept_in_files(tmp_path):
         "frame": frame.dn,
         "irradiance.exr": stored("irradiance.exr", "S0.550,000000nm"),
         "raw.exr": stored("raw.exr", "DN"),
-        "ideal.png": matplotlib.image.imread(out / "ideal.png")[:, :, 0],
-        "image.png": matplotlib.image.imread(out / "image.png")[:, :, 0],
+        "ideal.png": np.atleast_3d(matplotlib.image.imread(out / "ideal.png"))[:, :, 0],
+        "image.png": np.atleast_3d(matplotlib.image.imread(out / "image.png"))[:, :, 0],
     }
     for name, picture in pictures.items():
         assert picture.shape == ((60, 60) if name.endswith("png") else (64, 64)), name  # shown without a border of two dots
