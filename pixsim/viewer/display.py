@@ -244,8 +244,10 @@ def average_axis(values: Array, pitch_um: Positive, low_um: float, edges_um: Row
     degree : of the interpolating spline: 0 (piecewise constant), 1, 3 or 5
     axis : 0 or 1
 
-    Raises PixsimError if the edges do not increase.
+    Raises PixsimError if the edges do not increase, or the values have not that axis.
     """
+    if values.ndim <= axis:
+        raise invalid("values", f"an array of shape {values.shape}", f"an array with an axis {axis}")
     lines = values.swapaxes(0, axis)
     degree = min(degree, len(lines) - 1)
     if degree < 2:
