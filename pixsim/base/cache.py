@@ -201,12 +201,12 @@ def _check(path: Path, label: str) -> None:
 
 def is_entry(path: Path) -> bool:
     """Whether a file is an entry of the cache by its name and its label. It is not if it is a link, or in a linked folder."""
-    if path.suffix not in STARTS or path.is_symlink() or path.parent.is_symlink() or not path.is_file():
-        return False
     try:
+        if path.suffix not in STARTS or path.is_symlink() or path.parent.is_symlink() or not path.is_file():
+            return False
         with path.open("rb") as file:
             head = file.read(HEAD_BYTES)
-    except OSError:
+    except OSError:  # in a folder of another user, for example
         return False
     return head.startswith(STARTS[path.suffix]) and entry_label(path.parent.name, path.stem).encode() in head
 

@@ -328,6 +328,14 @@ def test_a_folder_that_cannot_be_listed_is_passed_over(folder, monkeypatch):
     assert (folder / "theirs/key.npz").exists()
 
 
+def test_what_lies_in_a_closed_folder_is_no_entry(folder, monkeypatch):
+    cache.store_arrays("theirs", "key", CONTENT)
+    path = folder / "theirs/key.npz"
+    assert cache.is_entry(path)
+    monkeypatch.setattr(Path, "lstat", Mock(side_effect=PermissionError(errno.EACCES, os.strerror(errno.EACCES))))
+    assert not cache.is_entry(path)
+
+
 @pytest.mark.parametrize("change", ["of another key", "of another kind", "behind a link", "in a linked folder"])
 def test_only_an_entry_of_its_own_label_is_read(folder, change, tmp_path):
     """A file of another key would be another result in silence; a link may lead to any file."""
