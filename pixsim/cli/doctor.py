@@ -120,23 +120,23 @@ def _test_render(limit_s: float) -> Diagnosis:
         if name != variant.SCALAR and attempt(variant.SCALAR, limit_s=limit_s).fault is None:
             mend = f"pixsim run csf --variant {variant.SCALAR}"
         return Diagnosis("test render", PROBLEM, fault, mend, facts)
-    found = (
+    text = (
         f"csf with {name}, {facts['threads']} threads: {facts['mean_lx']:.3f} lx, closed form {facts['expected_lx']:.3f} lx, "
         f"in {trial.seconds:.1f} s"
     )
-    return Diagnosis("test render", OK, found, facts=facts)
+    return Diagnosis("test render", OK, text, facts=facts)
 
 
 def _processors() -> Diagnosis:
     processors = machine.processors()
-    found = f"{processors.usable} usable of {processors.cores}"
-    return Diagnosis("processors", OK, found, facts=vars(processors))
+    text = f"{processors.usable} usable of {processors.cores}"
+    return Diagnosis("processors", OK, text, facts=vars(processors))
 
 
 def _memory() -> Diagnosis:
     memory = machine.memory()
-    found = f"{_gib(memory.usable)} usable of {_gib(memory.total)}"
-    return Diagnosis("memory", OK, found, facts=vars(memory))
+    text = f"{_gib(memory.usable)} usable of {_gib(memory.total)}"
+    return Diagnosis("memory", OK, text, facts=vars(memory))
 
 
 def _gib(size: int | None) -> str:
@@ -151,10 +151,10 @@ def _cache() -> Diagnosis:
     except PixsimError as error:  # which says how to mend it
         return Diagnosis("cache", PROBLEM, str(error))
     fault, _ = machine.check_folder(folder)
-    found = f"{folder}: {_gib(size_bytes)} of {_gib(limit_bytes)}"
+    text = f"{folder}: {_gib(size_bytes)} of {_gib(limit_bytes)}"
     if fault:
-        return Diagnosis("cache", NOTE, f"{found}; it cannot be written ({fault})", f"export {FOLDER_VARIABLE}=FOLDER")
-    return Diagnosis("cache", OK, found, facts={"folder": str(folder), "size_bytes": size_bytes, "limit_bytes": limit_bytes})
+        return Diagnosis("cache", NOTE, f"{text}; it cannot be written ({fault})", f"export {FOLDER_VARIABLE}=FOLDER")
+    return Diagnosis("cache", OK, text, facts={"folder": str(folder), "size_bytes": size_bytes, "limit_bytes": limit_bytes})
 
 
 def _results(out: Path) -> Diagnosis:

@@ -632,9 +632,11 @@ def _settings(result: Comparison) -> list[Block]:
 
     head = ("setting", *result.names)
     rows_of = {setting: (setting, *(of_sensor.get(name, "") for name in result.names)) for setting, of_sensor in values.items()}
-    own = DocumentTable("settings of the sensors", head, [row for name, row in rows_of.items() if name in changed], words=None)
-    others = replace(own, rows=[row for name, row in rows_of.items() if name not in changed])
-    return [own, *settings_blocks(shared), Section("", "All other settings of the sensors", [others], folded=True)]
+    differing = DocumentTable(
+        "settings of the sensors", head, [row for name, row in rows_of.items() if name in changed], words=None
+    )
+    others = replace(differing, rows=[row for name, row in rows_of.items() if name not in changed])
+    return [differing, *settings_blocks(shared), Section("", "All other settings of the sensors", [others], folded=True)]
 
 
 def _page(result: Comparison, options: PageOptions) -> Document:

@@ -105,8 +105,8 @@ def plan_document(plan: Plan, scene: str, settings: Run) -> Document:
     for decision in plan.decisions:
         bound = f"{decision.bound_e:.1e}" if decision.bound_e else "" if decision.kept else "0"
         bound = bound if decision.bounded else "unknown"
-        kept = "kept" if decision.kept else "left out"
-        rows.append((decision.subject, kept, decision.reason, decision.saved, bound))
+        state = "kept" if decision.kept else "left out"
+        rows.append((decision.subject, state, decision.reason, decision.saved, bound))
     light, samples = plan.light, plan.samples
     passes = "no samples" if samples.exact else f"{light.passes} of {light.full_passes} passes, each of {samples.spp} samples"
     unknown = "" if plan.bounded else " plus unknown terms"

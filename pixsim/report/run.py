@@ -285,8 +285,13 @@ def data(result: RunResult) -> dict[str, Any]:
     if result.judged:
         more["metrics"] = plain({name: float(values.mean()) for name, values in result.judged.items()})
     if (threshold := result.threshold) is not None:
-        found = {"value": threshold.value, "upper_value": threshold.upper_value, "why_not": threshold.reason}
-        more["at_threshold"] = {"parameter": threshold.parameter, "detectability": threshold.threshold, **found}
+        more["at_threshold"] = {
+            "parameter": threshold.parameter,
+            "detectability": threshold.threshold,
+            "value": threshold.value,
+            "upper_value": threshold.upper_value,
+            "why_not": threshold.reason,
+        }
     if result.colour is not None or settings.develop.words:
         more["develop"] = settings.develop.model_dump()
     if result.colour is not None:
@@ -438,8 +443,8 @@ def setup_words(result: RunResult) -> list[str]:
 
     view = view_words(settings.display, result.irradiance.header, result.prepared.view, settings.window_mm, columns)
     light = light_words(result) if judged_by_delta_e(settings) else []
-    shown = "; ".join(filter(None, (*view, lens_words(result.camera), assumption(result), *light)))
-    return [*filter(None, (", ".join(exposed), developed_words(settings.develop, [settings.pixel]), shown))]
+    view_line = "; ".join(filter(None, (*view, lens_words(result.camera), assumption(result), *light)))
+    return [*filter(None, (", ".join(exposed), developed_words(settings.develop, [settings.pixel]), view_line))]
 
 
 def light_words(result: RunResult) -> list[str]:

@@ -51,13 +51,13 @@ def pair_sentence(pairs: Pairs, film: float | None = 0.0) -> str:
         return f"{better} is better than {worse} by {rounded(size, 4)}{unit} in one pair of frames"
 
     error = pairs.half_width + (film or 0.0)
-    shown = f"{with_error(size, error)}{unit}{' and the unknown error of the film' if film is None else ''}"
+    amount = f"{with_error(size, error)}{unit}{' and the unknown error of the film' if film is None else ''}"
     chance = probability(max(pairs.probability_a_better, 1 - pairs.probability_a_better), pairs.a.size)
     if size <= error:
-        return f"{first} and {other} cannot be told apart: {better} is better by {shown} (probability {chance})"
+        return f"{first} and {other} cannot be told apart: {better} is better by {amount} (probability {chance})"
     is_hidden = metric.is_delta_e and size < NO_VISIBLE_DELTA_E
     visible = f", no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE)" if is_hidden else ""
-    return f"{better} is better than {worse} by {shown} (probability {chance}){visible}"
+    return f"{better} is better than {worse} by {amount} (probability {chance}){visible}"
 
 
 def pair_cells(pairs: Pairs, film: float | None = 0.0) -> tuple[str, str, str]:
