@@ -354,9 +354,12 @@ def compare(
     import_less()
     if len(sensors) == TWO_FOLDERS and all(Path(path).is_dir() for path in sensors):
         from pixsim.report.two_results import results_document
+        from pixsim.show.render import write
         from pixsim.studies.compare import compare_results
 
-        answer(results_document(compare_results(*sensors)), options.json)
+        document = results_document(compare_results(*sensors))
+        page = None if options.out is None else write(document, options.out)
+        answer(document, options.json, page)
         return
     from pixsim.report.commands.compare import comparison_files
 

@@ -32,7 +32,7 @@ def results_document(result: ResultsComparison) -> Document:
         kind="two results",
         title=" against ".join(result.names),
         data=result_data(content, settings={"folders": list(result.names)}, notes=[]),
-        answers=[Answer((Strong(sentence),)) for sentence in sentences],
+        answers=[Answer((Strong(sentence),), named=True) for sentence in sentences],
         lead=(differences_table(result), *only),
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import re
 from pathlib import Path
@@ -51,6 +52,14 @@ def test_runs_of_one_light_are_paired_frame_by_frame(folders: dict[str, Path]) -
     assert result.only_in_one == 0
     code, out, _ = command("compare --json", folders["quiet"], folders["noisy"])
     assert (code, json.loads(out)["differences"]) == (0, json.loads(json.dumps(result.as_dict()))["differences"])
+
+
+def test_comparison_of_two_results_is_written_where_a_folder_is_named(folders: dict[str, Path], tmp_path: Path) -> None:
+    code, out, _ = command("compare --out", tmp_path / "out", folders["quiet"], folders["noisy"])
+    assert (code, out.splitlines()[-1]) == (0, f"report: {tmp_path / 'out' / 'report.html'}")
+    summary = json.loads((tmp_path / "out/summary.json").read_text(encoding="utf-8"))
+    assert summary["verdicts"][0] == out.splitlines()[0]
+    assert summary["verdicts"][0] in html.unescape((tmp_path / "out/report.html").read_text(encoding="utf-8"))
 
 
 def test_studies_are_paired_at_each_size(folders: dict[str, Path]) -> None:
