@@ -13,7 +13,7 @@ MAX_DIGITS = 4  # of a number with an error
 COARSE = (0.01, 1.0)  # errors that have one digit: a hundredth of a ΔE is not seen
 MAX_WRITTEN = 6  # significant digits of a number that somebody wrote; one with more was computed
 ROUNDING = 1e-9  # of a number; smaller errors are those of its arithmetic
-SMALL_UM = 0.1  # smaller sizes of pixels have two digits
+SMALL_SIZE = 0.1  # of a pixel in micrometres; smaller ones have two digits
 SURE = 0.999  # the largest probability that is stated
 WITHOUT_POWER = (-4, 15)  # powers of ten of numbers that are written without one
 
@@ -53,7 +53,7 @@ def pixel_size(side: float) -> str:
 
 
 def _micrometres(size: float) -> str:
-    return rounded(size) if size < SMALL_UM else f"{size:.2f}"
+    return rounded(size) if size < SMALL_SIZE else f"{size:.2f}"
 
 
 def number(value: float | None, digits: int = 2, least: float = 0.0) -> str:
