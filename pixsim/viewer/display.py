@@ -400,6 +400,8 @@ def relative_to_white(
     picture : (rows, columns) electrons of a frame's pixels
     frame : of which they are
     white_e, shading, single : as of `frame_luminance`
+
+    Raises PixsimError for a shading of another shape.
     """
     picture /= white_e
     if shading is not None:
