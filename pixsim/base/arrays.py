@@ -287,8 +287,10 @@ def values_of(name: str, function: Callable[..., Any], shape: tuple[int, ...], *
     expected = f"a function that returns {' × '.join(map(str, shape))} numbers, or one"
     try:
         values = np.asarray(function(*arguments), float)
-    except (TypeError, ValueError) as error:
-        raise invalid(name, f"one that fails ({one_line(str(error), 200)})", expected) from None
+    except PixsimError:
+        raise
+    except Exception as error:  # a user's function may raise anything
+        raise invalid(name, f"one that fails ({type(error).__name__}: {one_line(str(error), 200)})", expected) from error
     if values.shape not in ((), shape):
         raise invalid(name, f"one that returns an array of shape {values.shape}", expected)
     return values

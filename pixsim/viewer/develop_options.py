@@ -109,10 +109,7 @@ def _as_denoiser(value: object) -> object:
     if isinstance(value, str) and value not in DENOISERS:
         if value in _functions:
             return _functions[value]
-        ways = ", ".join(DENOISERS)
-        if ":" in value:
-            raise ValueError(f"got {brief(value)} in a file or an option; allowed: {ways}; {OF_FUNCTIONS}")
-        raise ValueError(f"got {brief(value)}; allowed: {ways}; {OF_FUNCTIONS}")
+        raise ValueError(f"got {brief(value)}; allowed: {', '.join(DENOISERS)}; {OF_FUNCTIONS}")
     return value
 
 

@@ -22,7 +22,6 @@ import scipy  # whose parts are imported when they are used
 from numpy.typing import NDArray
 
 from pixsim.base.arrays import Array, mixed
-from pixsim.base.errors import invalid
 from pixsim.sensor.colour import Layout, of_channels
 from pixsim.sensor.colour_options import binned_cell
 from pixsim.sensor.correction import flat_light_e, residual_variance_e2
@@ -189,7 +188,6 @@ class Step:
     apply : takes a raw frame (rows, columns), a list of planes (rows, columns), or of means over dots, or light of the dots, (H, W)
         or (3, H, W); it may write to it
     is_on : whether it does anything to a frame
-    is_linear : whether it is linear in the picture, but for saturated pixels
     of_noise : what it makes of noise; None if that has no closed form, so that frames tell it
     """
 
@@ -197,7 +195,6 @@ class Step:
     works_on: str
     apply: Callable[[Any, Developing], Any] = field(repr=False)
     is_on: Callable[[Developing], bool] = field(default=_always, repr=False)
-    is_linear: Callable[[Develop], bool] = field(default=_always, repr=False)
     of_noise: Callable[[PixelNoise, Developing], PixelNoise] | None = field(default=None, repr=False)
 
 
@@ -394,14 +391,7 @@ RAW, PLANES, SHOWN = "raw planes", "developed planes", "shown picture"
 STEPS: Mapping[str, Step] = {
     step.name: step
     for step in (
-        Step(
-            name="denoise",
-            works_on=RAW,
-            is_on=lambda c: c.develop.denoises,
-            apply=_denoise,
-            is_linear=lambda develop: not develop.adapts,
-            of_noise=_denoised_noise,
-        ),
+        Step(name="denoise", works_on=RAW, is_on=lambda c: c.develop.denoises, apply=_denoise, of_noise=_denoised_noise),
         Step(name="white_balance", works_on=RAW, apply=_white_balance, of_noise=_balanced_noise),
         Step(
             name="remosaic",
@@ -414,7 +404,6 @@ STEPS: Mapping[str, Step] = {
             name="demosaic",
             works_on=RAW,
             apply=_demosaic,
-            is_linear=lambda develop: develop.demosaic != "menon2007",
             of_noise=lambda noise, c: replace(noise, method=c.method),  # of menon2007 that of malvar2004
         ),
         Step(
@@ -431,7 +420,6 @@ STEPS: Mapping[str, Step] = {
             works_on=SHOWN,
             is_on=lambda c: bool(c.develop.tone),
             apply=lambda light, c: toned(light, c.develop, c.imaging.display),
-            is_linear=lambda develop: not develop.tone,
         ),
     )
 }
@@ -472,8 +460,8 @@ def developed_planes(c: Developing) -> list[Array]:
     return developed(cast("list[Array]", _through_steps(raw_e, c, RAW)), c)
 
 
-def noise_covariance(c: Developing, levels: Array, dot_um: float | None, works_on: Sequence[str] = (RAW, PLANES)) -> Array:
-    """Return the covariance of the channels on even patches, (P, C, C), as means over a dot, behind the linear steps of some kinds.
+def noise_covariance(c: Developing, levels: Array, dot_um: float | None) -> Array:
+    """Return the covariance of the channels on even patches, (P, C, C), as means over a dot, behind the linear steps.
 
     It is that of the pixels over frames and sensors in closed form, through the weights of each step; for menon2007, whose
     weights depend on the picture, through those of malvar2004. The offsets of columns are the same in all rows. Fixed pattern
@@ -481,8 +469,6 @@ def noise_covariance(c: Developing, levels: Array, dot_um: float | None, works_o
 
     levels : (P, C) light of the patches in each channel, 1 for white
     dot_um : side of a dot on the sensor; None: dots are pixels
-
-    Raises PixsimError for a step that has no closed form.
     """
     readout, integration_s, layout = c.readout, c.frame.integration_s, c.layout
     electrons = np.maximum(levels, 0.0) * c.white_e
@@ -493,9 +479,8 @@ def noise_covariance(c: Developing, levels: Array, dot_um: float | None, works_o
     is_mosaic = layout is not None and not layout.is_stacked
     noise = PixelNoise(layout.cell if layout is not None and is_mosaic else ("R",), np.maximum(pixels, 0.0), *lines)
     for step in STEPS.values():
-        if step.works_on in works_on and step.is_on(c):
-            if step.of_noise is None or not (step.is_linear(c.develop) or step.name == "demosaic"):
-                raise invalid("the covariance of noise", f"develop.{step.name}, which is not linear", "linear steps")
+        if step.works_on in (RAW, PLANES) and step.is_on(c):
+            assert step.of_noise is not None  # of a linear step
             noise = step.of_noise(noise, c)
     dot_px = None if dot_um is None else min(max(dot_um / readout.physics.read_pitch_um, 1e-3), 1e3)
     return noise.covariance(dot_px, c.imaging.display.interpolation)

@@ -18,9 +18,9 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from pixsim.base.arrays import Array, first_where
+from pixsim.base.arrays import Array, first_where, values_of
 from pixsim.base.bounds import FINITE, Axes, NotNegative
-from pixsim.base.errors import PixsimError, invalid, one_line
+from pixsim.base.errors import PixsimError, invalid
 from pixsim.viewer.denoising import anscombe
 
 Denoiser = Callable[[Array, float], Array]  # of a plane whose noise has variance 1, and of how strong that is to be taken
@@ -109,18 +109,9 @@ def _checked(function: Denoiser) -> Denoiser:
     """Return a user's function whose result is checked."""
 
     def call(plane: Array, sigma: float) -> Array:
-        name, expected = "denoise", f"a function that returns {' × '.join(map(str, plane.shape))} finite numbers"
-        try:
-            values = np.asarray(function(plane, sigma), float)
-        except PixsimError:
-            raise
-        except Exception as error:  # a user's function may raise anything
-            got = f"one that fails ({type(error).__name__}: {one_line(str(error), 200)})"
-            raise invalid(name, got, expected) from error
-        if values.shape != plane.shape:
-            raise invalid(name, f"one that returns an array of shape {values.shape}", expected)
+        values = values_of("denoise", function, plane.shape, plane, sigma)
         if (place := first_where(~np.isfinite(values))) is not None:
-            raise invalid(name, f"one that returns {values[place]} at {place}", expected)
-        return values
+            raise invalid("denoise", f"one that returns {values[place]} at {place}", "a function that returns finite numbers")
+        return np.broadcast_to(values, plane.shape)
 
     return call
