@@ -572,17 +572,6 @@ class Row(NamedTuple):
     acts: Callable[[GivenSettings, str], bool | None]
 
 
-def _gain_changes_noise(given: GivenSettings, name: str) -> bool | None:
-    """Of a stated time. Gain moves the end of the codes and their rounding, which the rule sees; what it is for is the noise."""
-    base = given.base
-    if given.imaging.exposure.integration_s is None or base is None:
-        return None
-    other = given.trial_with(name, Default)
-    light_e = base.frame.mean_e
-    scatter_e, without_e = (math.sqrt(float(trial.variance_e2(light_e).mean())) for trial in (base, other))
-    return None if abs(scatter_e - without_e) > RESOLVED * without_e else False
-
-
 def _moves(given: GivenSettings, name: str) -> bool:
     """Of motion, which also decides which part of a frame is scored, however far the picture moves."""
     motion = given.imaging.motion
@@ -634,7 +623,6 @@ ROWS = (
     ),
     # It is bright enough for a time below the longest one, and has no room for what moves.
     Row(("exposure.max_integration_s",), lambda given, _: given.imaging.exposure.integration_s is None or None),
-    Row(("exposure.gain_db",), _gain_changes_noise),
     Row(("motion",), _moves),
     # It has few dots, always as many, and few pixels, perhaps none of them hot.
     Row(("display.dots",), lambda given, _: given.imaging.display.raster == "fixed_size"),

@@ -420,20 +420,6 @@ def test_a_small_light_fills_no_pixel_and_shows_all_parts_of_the_field() -> None
         assert camera.die_um == pytest.approx((20 * 5.0, 20 * 5.0), rel=1e-9)
 
 
-@pytest.mark.parametrize("gain_db", [6.0, 12.0])
-def test_gain_that_changes_no_noise_is_named(gain_db: float) -> None:
-    """Noise that is stated as a whole is the same at every gain: in a stated time only the end of the codes moves.
-
-    Read noise behind the gain falls with it, and an automatic exposure is as much shorter.
-    """
-    whole = {**FAINT, "bits": 14, "temporal_dark_noise_e": 3.0}
-    del whole["read_noise_e"]
-    stated = Exposure(integration_s=0.01, gain_db=gain_db)
-    assert said(Run(pixel=Pixel(**whole), exposure=stated)) == {"exposure.gain_db"}
-    assert not said(Run(pixel=Pixel(**whole), exposure=Exposure(gain_db=gain_db)))
-    assert not said(Run(pixel=Pixel(**FAINT, read_noise_after_gain_e=20.0), exposure=stated))
-
-
 @pytest.mark.parametrize("name", packaged("data/studies"))
 def test_packaged_studies_state_nothing_in_vain(name: str) -> None:
     cases = cases_of(with_range_ends(load_study(name)))
