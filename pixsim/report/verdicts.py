@@ -46,7 +46,7 @@ def pair_sentence(pairs: Pairs, film: float | None = 0.0) -> str:
         return f"{metric.words} is not given for every frame of {' and '.join(undefined)}"
     if not pairs.differences.any():
         return f"{first} and {other} have the same {'mean ΔE' if metric.is_delta_e else metric.words} in every pair of frames"
-    better, worse = (first, other) if metric.worse_by(pairs.difference, 0.0) >= 0 else (other, first)
+    better, worse = (first, other) if metric.worse_by(pairs.difference) >= 0 else (other, first)
     if pairs.a.size < FEWEST_PAIRS:
         return f"{better} is better than {worse} by {rounded(size, 4)}{unit} in one pair of frames"
 

@@ -8,7 +8,7 @@ keys follow; `words` are what headlines and notes say of it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -141,7 +141,6 @@ def acting_on(what: Acts) -> list[Stage]:
     return [stage for stage in STAGES.values() if stage.acts_on == what]
 
 
-def stage_words(settings: object, names: Iterable[str] = STAGES) -> list[str]:
+def stage_words(settings: object) -> list[str]:
     """Return what headlines say of the stages of a setting of a frame that are on."""
-    stages = [STAGES[name] for name in names]
-    return [words for stage in stages if (words := stage.words(getattr(settings, stage.table)))]
+    return [words for stage in STAGES.values() if (words := stage.words(getattr(settings, stage.table)))]

@@ -69,7 +69,7 @@ class Pairs:
         Also 0 where the number is not defined in a frame.
         """
         is_sure = self.a.size >= FEWEST_PAIRS and abs(self.difference) > self.half_width + error
-        return int(np.sign(self.metric.worse_by(self.difference, 0.0))) if is_sure else 0
+        return int(np.sign(self.metric.worse_by(self.difference))) if is_sure else 0
 
 
 def paired(table: Table, a: str, b: str, metric: Metric = DELTA_E, weights: Mapping[str, float] | None = None) -> Pairs:

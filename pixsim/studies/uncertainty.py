@@ -720,7 +720,7 @@ class PairUncertainty:
     @cached_property
     def probability_a_better(self) -> Probability:
         """Share of the types with a lower mean ΔE of a, or a better value, with its 95 % interval; an equal one counts half."""
-        return Probability.of((0.5 * (1.0 + np.sign(self.metric.worse_by(self.differences, 0.0)))).tolist())
+        return Probability.of((0.5 * (1.0 + np.sign(self.metric.worse_by(self.differences)))).tolist())
 
     @property
     def difference(self) -> ResultDistribution:

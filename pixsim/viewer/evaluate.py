@@ -26,7 +26,7 @@ from pixsim.viewer.metric_options import METRIC_OPTIONS, MetricOptions
 from pixsim.viewer.metric_registry import metrics_named
 from pixsim.viewer.metrics import Metric, MetricContext, MetricRequest, NoNumberError, columns_with_numbers
 from pixsim.viewer.review import review
-from pixsim.viewer.scene_light import PreparedScene, SceneLight, prepare_scene
+from pixsim.viewer.scene_light import SceneLight, prepare_scene
 from pixsim.viewer.score import FrameScore, Score, noise_error_and_limit
 from pixsim.viewer.screen import warn_of_clipping, white_header, with_white
 from pixsim.viewer.without_effect import warn_of_records
@@ -50,16 +50,9 @@ def reviewed(imaging: Imaging, light: SceneLight) -> Imaging:
     return imaging
 
 
-def reviewed_chain(
-    imaging: Imaging,
-    light: SceneLight,
-    *,
-    prepare: Callable[[Imaging, SceneLight], PreparedScene] = prepare_scene,
-    is_recent: bool = False,
-) -> ImagingChain:
+def reviewed_chain(imaging: Imaging, light: SceneLight, *, is_recent: bool = False) -> ImagingChain:
     """Return the imaging chain of settings that were not checked yet, with a warning for each note of their review.
 
-    prepare : as `prepare_scene`, which may know what that did before
     is_recent : whether the chain stays in memory, with the last few others, for the same light and settings
 
     Warns, too, if the scene's white is estimated (`white_header`), and if the display clips the scene.
@@ -71,7 +64,7 @@ def reviewed_chain(
         if chain.imaging.metrics != imaging.metrics:  # which decide nothing of the chain
             chain = replace(chain, imaging=imaging)
     else:
-        scene = prepare(imaging, light)
+        scene = prepare_scene(imaging, light)
         chain, beyond_white = make_chain(imaging, scene), scene.beyond_white
         if key is not None:
             chain = replace(chain, scene=None)

@@ -91,9 +91,9 @@ class Metric:
         """Its best value, in words."""
         return f"{'least' if self.better == 'less' else 'greatest'} {self.words}"
 
-    def worse_by(self, values: Array | float, best: Array | float) -> Array:
-        """Return by how much values are worse than a best one, in the metric's unit, (...)."""
-        return np.asarray(values - best if self.better == "less" else best - values)
+    def worse_by(self, difference: Array | float) -> Array:
+        """Return by how much a difference from another value is for the worse, in the metric's unit, (...)."""
+        return np.asarray(difference if self.better == "less" else np.negative(difference))
 
     def loss(self, values: Array) -> Array:
         """Return what is least at the best size, (...): values where less is better, else reciprocals; NaN of 0 or less."""
