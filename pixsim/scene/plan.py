@@ -516,7 +516,12 @@ def _rank_reason(lamps: list[Lamp], surfaces: Surfaces, met: Array, counts: list
         return f"{lit}, one with a colour that varies over the emitter: {pulses}"
     if surfaces.spectra is None:
         return f"{lit}; all bands, because of {surfaces.unknown}: {pulses}"
-    return f"{lit} × {len(surfaces.spectra)} surface spectra ({len(met)} with interreflections): {pulses} determine all bands"
+    seen = (
+        f"{len(surfaces.spectra)} surface spectra ({len(met)} with interreflections)"
+        if len(surfaces.spectra)
+        else "neutral surfaces"
+    )
+    return f"{lit} × {seen}: {pulses} determine{'s' * (pulses == '1 pulse')} all bands"
 
 
 UNIFORM_RESOLUTION = 64  # the lens's fall-off is then right to 3e-5 of the mean electrons at 20° off axis
