@@ -406,7 +406,7 @@ def test_write_of_any_result_names_a_wrong_argument(argument: str, value: object
         ({"parameters": {"strength": None}}, "parameters['strength']: got None"),
         ({"parameters": {"list": [1]}}, "parameters['list']: got [1]"),
         ({"parameters": {1: 2}}, "parameters[1]: got 1"),
-        ({"config": np.array(1.0)}, "config: got array(1.)"),
+        ({"config": np.array(1.0)}, "config: got array(1."),
         ({"smaller_than_um": [1.0, "x"]}, "smaller_than_um[1]: got 'x'"),
     ],
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import os
 import re
@@ -20,7 +21,7 @@ from pixsim.base.digits import setting_text
 from pixsim.base.errors import invalid
 from pixsim.base.lazy import RC_FILE, leave_out_docstrings_of_matplotlib
 from pixsim.base.shared_block import SharedBlock
-from pixsim.show.pictures import VIEWING_GAMMA, PictureAxes
+from pixsim.show.pictures import VIEWING_GAMMA, PictureAxes, smallest_png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -207,11 +208,12 @@ def svg_text(figure: Figure) -> str:
     text = io.StringIO()
     figure.savefig(text, format="svg", metadata={"Date": None, "Creator": "pixsim"})
     numbers: dict[str, str] = {}
-    return re.sub(
+    numbered = re.sub(
         r'(id="|url\(#|href="#)([a-zA-Z]+[0-9a-f]{10})(?=["\)])',
         lambda match: match[1] + numbers.setdefault(match[2], f"id{len(numbers)}"),
         text.getvalue(),
     )
+    return re.sub(r"(?<=data:image/png;base64,)([^\"]+)", lambda match: _reduced_png(match[1]), numbered)
 
 
 @own_style()
@@ -220,6 +222,14 @@ def pdf_bytes(figure: Figure) -> bytes:
     content = io.BytesIO()
     figure.savefig(content, format="pdf", metadata={"CreationDate": None, "Creator": "pixsim"})
     return content.getvalue()
+
+
+def _reduced_png(encoded: str) -> str:
+    """Return a picture that Matplotlib wrote, in base64, with the same pixels in fewer bytes; as it is, if any is transparent."""
+    from PIL import Image
+
+    codes = np.asarray(Image.open(io.BytesIO(base64.b64decode(encoded))).convert("RGBA"))
+    return base64.b64encode(smallest_png(codes[:, :, :3])).decode() if (codes[:, :, 3] == 255).all() else encoded
 
 
 def finish(

@@ -144,6 +144,29 @@ def png_bytes(codes: NDArray[np.uint8]) -> bytes:
     return content.getvalue()
 
 
+def smallest_png(codes: NDArray[np.uint8]) -> bytes:
+    """Return grey (H, W) or coloured (H, W, 3) codes as a PNG of few bytes for a page: with a palette where 256 colours do."""
+    from PIL import Image, PngImagePlugin
+
+    if codes.ndim == 2:
+        return png_bytes(codes)
+    if (codes == codes[:, :, :1]).all():
+        return png_bytes(codes[:, :, 0])
+    picture = Image.fromarray(np.ascontiguousarray(codes))
+    counted = picture.getcolors(256)
+    if counted is None:
+        return png_bytes(codes)
+    palette = np.array(sorted(colour for _, colour in counted), np.uint8)
+    weights = np.array([1 << 16, 1 << 8, 1])
+    places = np.searchsorted(palette @ weights, codes @ weights).astype(np.uint8)
+    picture = Image.fromarray(places)
+    picture.putpalette(palette.tobytes())
+    metadata, content = PngImagePlugin.PngInfo(), io.BytesIO()
+    metadata.add_text("Software", "pixsim")
+    picture.save(content, "png", pnginfo=metadata, optimize=True)
+    return content.getvalue()
+
+
 COLUMNS = 6
 SHEET_MARGIN, SHEET_GAP, SHEET_FRAME = 16, 14, 3  # px
 TITLE, LABEL_WIDTH = 34, 112
@@ -161,9 +184,8 @@ class Picture:
 
     @cached_property
     def png(self) -> bytes:
-        """The picture as PNG, a grey one where all colours are equal."""
-        is_grey = self.codes.ndim == 3 and bool((self.codes == self.codes[:, :, :1]).all())
-        return png_bytes(self.codes[:, :, 0] if is_grey else self.codes)
+        """The picture as PNG of few bytes."""
+        return smallest_png(self.codes)
 
     @property
     def height(self) -> int:
@@ -196,7 +218,7 @@ def contact_sheet_png(title: str, tiles: Sequence[Picture]) -> bytes:
         canvas.paste(Image.fromarray(tile.codes).convert("RGB"), (left, top))
         draw.text((left, bottom + 5), tile.name, BLACK, font(14), anchor="lt")
         draw.text((left, bottom + 5 + LINE), tile.note, BLACK, font(14), anchor="lt")
-    return png_bytes(np.asarray(canvas))
+    return smallest_png(np.asarray(canvas))
 
 
 DETAIL_DOTS = 112  # three of them fit side by side on a phone

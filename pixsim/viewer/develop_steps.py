@@ -460,8 +460,8 @@ def developed_planes(c: Developing) -> list[Array]:
     return developed(cast("list[Array]", _through_steps(raw_e, c, RAW)), c)
 
 
-def noise_covariance(c: Developing, levels: Array, dot_um: float | None) -> Array:
-    """Return the covariance of the channels on even patches, (P, C, C), as means over a dot, behind the linear steps.
+def noise_covariance(c: Developing, levels: Array, dot_um: float | None, works_on: Sequence[str] = (RAW, PLANES)) -> Array:
+    """Return the covariance of the channels on even patches, (P, C, C), as means over a dot, behind the linear steps of some kinds.
 
     It is that of the pixels over frames and sensors in closed form, through the weights of each step; for menon2007, whose
     weights depend on the picture, through those of malvar2004. The offsets of columns are the same in all rows. Fixed pattern
@@ -479,7 +479,7 @@ def noise_covariance(c: Developing, levels: Array, dot_um: float | None) -> Arra
     is_mosaic = layout is not None and not layout.is_stacked
     noise = PixelNoise(layout.cell if layout is not None and is_mosaic else ("R",), np.maximum(pixels, 0.0), *lines)
     for step in STEPS.values():
-        if step.works_on in (RAW, PLANES) and step.is_on(c):
+        if step.works_on in works_on and step.is_on(c):
             assert step.of_noise is not None  # of a linear step
             noise = step.of_noise(noise, c)
     dot_px = None if dot_um is None else min(max(dot_um / readout.physics.read_pitch_um, 1e-3), 1e3)

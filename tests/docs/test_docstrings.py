@@ -209,7 +209,7 @@ SHOWN = (
     *("load_scene", "render", "evaluate", "study", "Camera", "derive", "make_sensor", "capture", "delta_e_map", "read_exr"),
     *("read_frame", "edge_response", "make_plan", "load_technology", "SpectralImage", "make_chart"),
     *("compare", "datasheet", "accuracy", "sfr", "lens"),
-    *("optics.irradiance_factor", "optics.diffraction_otf", "sensor.photodiode.collected_charge_e", "sensor.pixel.fill_factor_law"),
+    *("optics.irradiance_factor", "optics.diffraction_otf", "photodiode.collected_charge_e", "pixel.fill_factor_law"),
 )
 
 

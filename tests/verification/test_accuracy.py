@@ -14,7 +14,7 @@ from helpers.commands import command
 from helpers.edits import VARIANT
 
 import pixsim
-from pixsim.base.digits import number
+from pixsim.base.digits import estimate, number
 from pixsim.base.progress import no_stage
 from pixsim.report.accuracy import FILES, accuracy_document, reference_words
 from pixsim.show.render import text as text_of_document
@@ -68,7 +68,9 @@ def check(accuracy: Accuracy, folder: Path) -> None:
     assert "nan" not in re.sub(r'"data:[^"]*"', "", text).lower()
     lines = text_of_document(accuracy_document(accuracy)).splitlines()
     assert lines[0].startswith("Default settings: ")
-    assert f"mean ΔE {accuracy.rungs[-1].mean_delta_e:.2f}, error {number(accuracy.rungs[-1].error_delta_e)}" in repr(accuracy)
+    assert f"mean ΔE {estimate(accuracy.rungs[-1].mean_delta_e)}, error {number(accuracy.rungs[-1].error_delta_e)}" in repr(
+        accuracy
+    )
     assert "1 of 2 extreme cases" in accuracy._repr_html_()
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     json.dumps(summary, allow_nan=False)

@@ -168,12 +168,7 @@ def test_study_states_its_field_and_exposure(study_result: StudyResult):
 
 @pytest.mark.parametrize(
     ("value", "error", "shown"),
-    [
-        (0.9731, 0.0, "0.9731 ± 0.0000"),
-        (0.9731, 0.00012, "0.9731 ± 0.0001"),
-        (0.9731, 0.096, "0.97 ± 0.10"),
-        (21.7, 14.2, "22 ± 14"),
-    ],
+    [(0.9731, 0.0, "0.9731 ± 0.0000"), (0.9731, 0.00012, "0.9731 ± 0.0001"), (0.9731, 0.096, "1.0 ± 0.1"), (21.7, 14.2, "22 ± 14")],
 )
 def test_digits_follow_the_error(value, error, shown):
     assert with_error(value, error) == shown
