@@ -87,6 +87,7 @@ def public_module(name: str, module: ModuleType) -> ModuleType:
     names = getattr(module, "__all__", None) or [key for key, value in vars(module).items() if _is_public(key, value, module)]
     face.__all__ = list(names)  # type: ignore[attr-defined]
     face.__getattr__ = lambda key: public(getattr(module, key), f"{name}.{key}")  # type: ignore[method-assign]
+    face.__dir__ = lambda: list(names)  # type: ignore[method-assign]
     return face
 
 
