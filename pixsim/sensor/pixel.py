@@ -100,6 +100,15 @@ class Diode:
     saturation_current_e_per_s: float
     temperature_k: float
 
+    def __post_init__(self) -> None:
+        """Raise PixsimError if a number is not finite or has the wrong sign."""
+        for name, value in vars(self).items():
+            positive = name in ("pb_v", "pbsw_v", "reset_voltage_v", "temperature_k")
+            if not math.isfinite(value) or value < 0 or (positive and value == 0):
+                raise invalid(f"diode {name}", value, "finite and above 0" if positive else "finite and not below 0")
+        if max(self.mj, self.mjsw) >= 1 or self.capacitance_ff(0.0) <= 0:
+            raise invalid("diode", self, "grading coefficients below 1, and some capacitance")
+
     @property
     def thermal_v(self) -> float:
         """kT/q."""
@@ -771,6 +780,23 @@ def offset_share(pixel: Pixel, technology: Technology, process_well: Well) -> fl
     return share
 
 
+def hot_pixels(pixel: Pixel, technology: Technology) -> tuple[float, float, float]:
+    """Return fraction, relative median and logarithmic spread of the hot pixels.
+
+    Raises PixsimError for a fraction without a tail, and for a tail without a fraction.
+    """
+    names = "hot_pixel_fraction", "hot_pixel_median", "hot_pixel_spread"
+    own = [getattr(pixel, name) for name in names]
+    fraction, median, spread = (number_of(pixel, technology, name) for name in names)
+    if fraction and median == 1 and not spread:
+        name = f"hot_pixel_fraction of {technology.name}" if own[0] is None else "pixel.hot_pixel_fraction"
+        got, allowed = f"{fraction:g} with hot_pixel_median = 1 and hot_pixel_spread = 0", "hot pixels that differ from the others"
+        raise invalid(name, got, allowed, "Give hot_pixel_median and hot_pixel_spread, as 30 and 1, or leave the fraction out.")
+    if own[0] is None and not fraction and (tail := [name for name, value in zip(names, own, strict=True) if value is not None]):
+        raise invalid(f"pixel.{tail[0]}", "no hot_pixel_fraction beside it", "both", "Give hot_pixel_fraction, as 0.001.")
+    return fraction, median, spread
+
+
 def stack_options(pixel: PixelOptions, technology: Technology) -> StackOptions | None:
     """Return the stack of a pixel: its own values, and those of the technology where it has none.
 
@@ -920,8 +946,7 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
     full_well_e = process_well.full_well_e if measured_e is None else growth * measured_e
     scale = full_well_e / process_well.full_well_e  # a given full well scales the capacitance at the same swing
     offset_e, column_e = offsets_e(full_well_e, process_well)
-    hot_names = "hot_pixel_fraction", "hot_pixel_median", "hot_pixel_spread"
-    hot_fraction, hot_median, hot_spread = (number_of(pixel, technology, name) for name in hot_names)
+    hot_fraction, hot_median, hot_spread = hot_pixels(pixel, technology)
     check_colour(pixel, technology)
     charge = stack_options(pixel, technology)
     physics = PixelPhysics(

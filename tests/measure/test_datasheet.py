@@ -566,6 +566,8 @@ def test_datasheet_command_options_and_file_write_same_files(tmp_path: Path, mon
     assert {name.as_posix() for name in names} == {name for name in PLANNED if not name.endswith(".pdf")} | {"pixsim.json"}
     assert len(names) == 4 + 2 * 8
     for name in names:
+        if name.name == "pixsim.json":  # it states times
+            continue
         assert (folders[0] / name).read_bytes() == (folders[1] / name).read_bytes(), name
 
 
