@@ -98,16 +98,17 @@ def regrets_tables(regrets: Regrets) -> tuple[DocumentTable, DocumentTable]:
         unit = "ΔE" if criterion.metric.is_delta_e else criterion.metric.unit
         value = f"{within_error(best.value, (high - low) / 2)} {unit}".rstrip()
         rows.append((name, best_size_words(criterion), interval(best.interval_um), value))
-        matrix_rows.append((name, *("–" if column == place else percent(regret) for column, regret in enumerate(of_criterion))))
+        cells = ("–" if column == place else regret_percent(regret) for column, regret in enumerate(of_criterion))
+        matrix_rows.append((name, *cells))
 
     sizes = DocumentTable(f"best sizes of {regrets.label}", head, rows, f"{regrets.label}: best sizes", words=(0, 1, 2))
     return sizes, DocumentTable(f"regrets of {regrets.label}", matrix_head, matrix_rows, f"{regrets.label}: regrets")
 
 
-def percent(regret: float) -> str:
+def regret_percent(regret: float) -> str:
     """Return a regret in per cent, to two digits.
 
-    >>> percent(0.0123), percent(float("inf"))
+    >>> regret_percent(0.0123), regret_percent(float("inf"))
     ('1.2', '∞')
     """
     return rounded(100 * regret) if np.isfinite(regret) else "∞"

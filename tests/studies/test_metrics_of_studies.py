@@ -20,7 +20,7 @@ from helpers.tiny import rows, tiny
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.report.axes import axes_files, axes_page, cases_data, optima_columns, regrets_columns
-from pixsim.report.regret import percent, regrets_data, regrets_tables
+from pixsim.report.regret import regret_percent, regrets_data, regrets_tables
 from pixsim.report.run import found_threshold_words, run_document
 from pixsim.report.study import study_document
 from pixsim.report.study_facts import contrast_words, study_facts, study_notes
@@ -91,7 +91,7 @@ def test_regrets_of_metrics_match_closed_forms() -> None:
     wanted = np.log(4.2 / 2.4) ** 2
     np.testing.assert_allclose(regrets.matrix, [[0.0, wanted], [wanted, 0.0]], atol=0.05)  # sizes are known to 2 %
     _, matrix = regrets_tables(regrets)
-    assert next(iter(matrix.rows)) == ("1 mean ΔE", "–", percent(regrets.matrix[0, 1]))
+    assert next(iter(matrix.rows)) == ("1 mean ΔE", "–", regret_percent(regrets.matrix[0, 1]))
 
 
 def test_metric_without_a_best_size_says_so(judged: tuple[StudyResult, Path]) -> None:
