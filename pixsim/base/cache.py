@@ -68,7 +68,7 @@ def limit_bytes() -> int:
 def version_fingerprint(*packages: str) -> str:
     """Text that identifies pixsim's version and sources, the machine type and the versions of packages.
 
-    It is part of every key. It includes the sources of a checkout, so that a changed formula or table invalidates old results.
+    It is part of every key. It includes the sources, so that a changed formula or table invalidates old results.
     """
     versions = [f"{name} {version_of(name)}" for name in ("numpy", "scipy", *packages)]
     return ", ".join([f"pixsim {VERSION} {_digest_of_sources()}", platform.machine(), *versions])
@@ -76,9 +76,7 @@ def version_fingerprint(*packages: str) -> str:
 
 @lru_cache
 def _digest_of_sources() -> str:
-    """Hash of all sources of a development checkout; elsewhere the version tells them."""
-    if not (PACKAGE.parent / "pyproject.toml").is_file():
-        return VERSION
+    """Hash of all sources: an installed package and a checkout of equal sources share their results."""
     digest = blake2b(digest_size=8)
     for path in sorted(PACKAGE.rglob("*")):
         if path.suffix in SOURCE_SUFFIXES:
