@@ -112,12 +112,24 @@ def on_missing(app: Sphinx, env: Any, node: Any, content: Any) -> Any:
     return link
 
 
+def public_thing(module: str, name: str) -> Any:
+    """Return what pixsim's users get under a name, without the check of its arguments; None if there is no such thing."""
+    thing: Any = pixsim
+    for part in [*module.split(".")[1:], name]:
+        thing = getattr(thing, part, None)
+    return inspect.unwrap(thing) if inspect.isfunction(thing) else thing
+
+
+def on_source(_: Sphinx, module: str, name: str) -> str | None:
+    """Return the module whose source defines a function that users get with its check, such as `pixsim.study`."""
+    return getattr(public_thing(module, name.split(".")[0]), "__module__", None)
+
+
 def on_doctree(_: Sphinx, document: nodes.document) -> None:
     """An entry is found by the module that a thing is from too: pages of source code point back there."""
     for node in document.findall(addnodes.desc_signature):
-        thing, names = pixsim, node.get("fullname", "").split(".")
-        for each in [*node.get("module", "pixsim").split(".")[1:], names[0]]:
-            thing = getattr(thing, each, None)
+        names = node.get("fullname", "").split(".")
+        thing = public_thing(node.get("module", "pixsim"), names[0])
         home = getattr(thing, "__module__", None)
         if not home or not node["ids"]:
             continue
@@ -136,5 +148,6 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.connect("autodoc-process-docstring", on_docstring)
     app.connect("autodoc-skip-member", on_skip)
     app.connect("missing-reference", on_missing)
+    app.connect("viewcode-follow-imported", on_source)
     app.connect("doctree-read", on_doctree)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
