@@ -49,7 +49,6 @@ from pixsim.sensor.pixel_options import NO_TECHNOLOGY, Pixel
 from pixsim.sensor.reading import Readout
 from pixsim.sensor.readout import frame_variance_dn2
 from pixsim.sensor.saturation import level_moments, peak_e
-from pixsim.sensor.stages import STAGES
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.setting import Run
 from pixsim.viewer.settings_file import packaged_sensors, run_settings
@@ -273,8 +272,7 @@ def datasheet(
 NOT_OF_SHEETS = (
     *(name for name in Run.model_fields if name not in (*TABLES, "seed")),
     *fields_of("exposure", Exposure, "integration_s", "gain_db"),
-    *(name for stage in STAGES.values() for name in stage.settings if stage.table != "exposure"),
-    *("correction", "develop", "display", "pixel.registration"),
+    *("lens.veiling_glare", "lens.veiling_glare_outside", "motion", "correction", "develop", "display", "pixel.registration"),
 )
 
 

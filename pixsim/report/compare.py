@@ -42,7 +42,6 @@ from pixsim.report.verdicts import (
 )
 from pixsim.report.wording import DELTA_E
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
-from pixsim.sensor.stages import stage_words
 from pixsim.show.document import (
     Answer,
     Block,
@@ -336,7 +335,7 @@ def _sensors_table(result: Comparison, metric: Metric) -> DocumentTable:
     rows = []
     for sensor in result.sensors:
         statistics = sensor.score.statistics()
-        stages = [stage for stage in stage_words(sensor.case.settings) if stage not in shared]
+        stages = [stage for stage in sensor.case.settings.stage_words if stage not in shared]
         exposed = ", ".join([exposure_time(statistics["integration_s"]), *stages])
         electrons = (rounded(statistics[name], 3) for name in ("mean_electrons_e", "full_well_e"))
         saturated = rounded(100 * statistics["saturated_fraction"], 2)

@@ -39,7 +39,6 @@ from pixsim.scene.packaged import packaged_scenes
 from pixsim.sensor.labels import label_of
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
 from pixsim.sensor.raw import write_frame
-from pixsim.sensor.stages import stage_words
 from pixsim.show.document import (
     Answer,
     Block,
@@ -439,7 +438,7 @@ def setup_words(result: RunResult) -> list[str]:
     longest = " (the maximum)" if is_longest else ""
     full = f", {percent(saturated)} of them saturated" if saturated > SATURATED_SHOWN else ""
     pixels = f"{columns} × {rows} pixels of {result.score.physics.pitch_um:g} µm"
-    exposed = [f"{pixels}, exposed for {exposure_time(time_s)}{longest}{full}", *stage_words(settings)]
+    exposed = [f"{pixels}, exposed for {exposure_time(time_s)}{longest}{full}", *settings.stage_words]
 
     view = view_words(settings.display, result.irradiance.header, result.prepared.view, settings.window_mm, columns)
     light = light_words(result) if judged_by_delta_e(settings) else []

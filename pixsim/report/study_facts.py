@@ -8,7 +8,6 @@ from pixsim.base.digits import told_apart
 from pixsim.base.notes import Note, few
 from pixsim.report.regret import regrets_tables
 from pixsim.report.wording import lens_words, thin_lens_words, unconverged, view_words
-from pixsim.sensor.stages import stage_words
 from pixsim.show.document import Block, Fact
 from pixsim.studies.curve import Curve
 from pixsim.studies.merit import columns_on, moved_view
@@ -49,7 +48,7 @@ def study_light_words(result: StudyResult) -> list[str]:
         camera = part.camera
         lens = lens_words(camera) or thin_lens_words(camera)
         assumption = part.study.camera.assumption(camera).partition(":")[0]
-        lines.append("; ".join(filter(None, (lens, assumption, str(part.light_level), *stage_words(part.study)))))
+        lines.append("; ".join(filter(None, (lens, assumption, str(part.light_level), *part.study.stage_words))))
     return lines[:1] if len(set(lines)) == 1 else []
 
 

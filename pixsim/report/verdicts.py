@@ -14,7 +14,6 @@ from pixsim.base.notes import Note
 from pixsim.report.score import judged_by_delta_e, unmet
 from pixsim.sensor.labels import label_of
 from pixsim.sensor.pixel_options import NO_TECHNOLOGY
-from pixsim.sensor.stages import stage_words
 from pixsim.show.figures import literal
 from pixsim.studies.comparison import ComparedSensor, Comparison
 from pixsim.studies.design import BASE, Case
@@ -207,8 +206,8 @@ def sensor_words(sensor: Case[Run]) -> str:
 
 
 def shared_stages(group: SensorGroup) -> list[str]:
-    """Return what `stage_words` says of every sensor."""
-    first, *others = [stage_words(case.settings) for case in group.cases]
+    """Return what `Setting.stage_words` say of every sensor."""
+    first, *others = [case.settings.stage_words for case in group.cases]
     return [words for words in first if all(words in other for other in others)]
 
 

@@ -50,10 +50,8 @@ def clipped_light(limit: float, modulation: float) -> float:
     return (limit * phase + math.pi - phase - modulation * math.sin(phase)) / math.pi
 
 
-def flickering(
-    gains: tuple[Array, ...], time_s: float, rows: int, exposure: Exposure, rng: np.random.Generator
-) -> tuple[Array, ...]:
-    """Return the light of each row, (rows,), in each exposure of a frame over its mean; `gains` where it is steady.
+def row_gains(time_s: float, rows: int, exposure: Exposure, rng: np.random.Generator) -> tuple[Array, ...]:
+    """Return the light of each row, (rows,), in each exposure of a frame over its mean; nothing where it is steady.
 
     The phase is that at mid exposure of the middle of the rows. It is drawn beside the frame's noise, which stays that of steady
     light.
@@ -61,9 +59,11 @@ def flickering(
     time_s : of all exposures together, which follow one another at once
     """
     if exposure.flicker_hz is None or not exposure.flickers:
-        return gains
-    given_deg = exposure.flicker_phase_deg
-    phase = rng.spawn(1)[0].uniform(0, 2 * math.pi) if given_deg is None else math.radians(given_deg)
-    each_s, lines_s = time_s / exposure.frames, (np.arange(float(rows)) - (rows - 1) / 2) * exposure.line_time_s
-    middles_s = [lines_s + (number - (exposure.frames - 1) / 2) * each_s for number in range(exposure.frames)]
-    return tuple(light_over_mean(mid_s, each_s, exposure.flicker_hz, exposure.flicker_depth or 0.0, phase) for mid_s in middles_s)
+        return ()
+    phase_deg = exposure.flicker_phase_deg
+    phase = rng.spawn(1)[0].uniform(0, 2 * math.pi) if phase_deg is None else math.radians(phase_deg)
+    exposure_s = time_s / exposure.frames
+    lines_s = (np.arange(float(rows)) - (rows - 1) / 2) * exposure.line_time_s
+    middles_s = [lines_s + (number - (exposure.frames - 1) / 2) * exposure_s for number in range(exposure.frames)]
+    depth = exposure.flicker_depth or 0.0
+    return tuple(light_over_mean(mid_s, exposure_s, exposure.flicker_hz, depth, phase) for mid_s in middles_s)

@@ -63,6 +63,14 @@ class Moving:
 STANDING = Moving((0.0, 0.0))
 
 
+def moving_in(um_per_s: tuple[float, float], time_s: float, exposure: Exposure) -> Moving:
+    """Return how light of a velocity [x, y] on the sensor moves in the time of a frame."""
+    across, down = um_per_s
+    line_s = exposure.line_time_s
+    row_um = (down * line_s, across * line_s) if line_s else (0.0, 0.0)
+    return Moving((down * time_s, across * time_s), row_um)
+
+
 @dataclass(frozen=True)
 class SlantedSpectrum:
     """What slanted paths of one direction share: a spectrum (H, W) over a² - b², as of `kept`, for a path of length 1.

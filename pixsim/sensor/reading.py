@@ -20,7 +20,6 @@ from pixsim.sensor.mismatch import DarkSpread
 from pixsim.sensor.noise import constant_e, variance_e2
 from pixsim.sensor.pixel import PixelPhysics, read_noises_e
 from pixsim.sensor.quantities import MAX_CODE_BITS, FrameBits, GainDb
-from pixsim.sensor.stages import acting_on
 
 # The public names; everything else is internal.
 __all__ = ["Adc", "Readout"]
@@ -139,9 +138,7 @@ class Readout:
     def at(self, exposure: Exposure) -> Readout:
         """Return the reading in an exposure: at its gain, in as many exposures. Raises PixsimError as `Readout` does."""
         readout = self if exposure.gain_db == self.gain_db else replace(self, gain_db=exposure.gain_db)
-        for stage in acting_on("frame"):
-            readout = stage.act(readout, exposure)
-        return readout
+        return readout.burst(exposure.frames)
 
     def burst(self, exposures: Count) -> Readout:
         """Return the reading of frames that are the sum of so many exposures. Raises PixsimError as `Readout` does.

@@ -18,6 +18,7 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.sensor.colour import Layout
 from pixsim.sensor.exposure import Exposure
+from pixsim.sensor.flicker import row_gains
 from pixsim.sensor.infrared import pixel_notes
 from pixsim.sensor.integration import (
     array_signal,
@@ -28,7 +29,7 @@ from pixsim.sensor.integration import (
     moved_signals,
     pixels_on,
 )
-from pixsim.sensor.motion import Moving, velocity_um_per_s
+from pixsim.sensor.motion import Moving, moving_in, velocity_um_per_s
 from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.noise import constant_e, variance_e2
 from pixsim.sensor.photodiode import full_pixels, responds_linearly, saturation_level_e, stored_signal_e
@@ -36,7 +37,6 @@ from pixsim.sensor.pixel import CENTRED, Registration, derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.quantities import MAX_CODE_BITS, Aspect, FrameBits, GainDb, Pitch, SaturatedFraction
 from pixsim.sensor.reading import Readout
-from pixsim.sensor.stages import gains_of_rows, moving_in
 from pixsim.sensor.technology import load_technology
 
 # Far above this mean the variance of NumPy's Poisson is wrong (+3.5 % at 1e15); a rounded normal lacks only the skewness
@@ -507,7 +507,7 @@ def capture_from_rates(
     brightest_e_per_s = float(signal_e_per_s.max())
     time_s = integration_time_s(exposure, p, brightest_e_per_s)
     planes = p.physics.planes
-    if gains := gains_of_rows(time_s, len(signal_e_per_s) // planes, exposure, rng):
+    if gains := row_gains(time_s, len(signal_e_per_s) // planes, exposure, rng):
         each = [
             one * np.tile(gain, planes)[:, None] for gain, one in zip(gains, each or [signal_e_per_s] * len(gains), strict=True)
         ]

@@ -17,7 +17,7 @@ from pixsim.optics.lens_options import LensOptions, replaced_by_lens
 from pixsim.optics.quantities import DieWidth
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.motion_options import Motion
+from pixsim.sensor.motion_options import Motion, motion_words
 from pixsim.sensor.pixel_options import Pixel, PixelOptions
 from pixsim.sensor.quantities import Seconds
 from pixsim.viewer.develop_options import Develop, check_develop
@@ -87,6 +87,23 @@ class Setting(Effort):
         """Without a noise budget settings are written, and hashed, as if there were no such field."""
         table: dict[str, Any] = handler(self)
         return table if self.noise_budget else {name: value for name, value in table.items() if name != "noise_budget"}
+
+    @property
+    def stage_words(self) -> list[str]:
+        """What is on between the light on the sensor and the frame, in words for headlines, in the order of the light."""
+        exposure, veil = self.exposure, self.lens.veiling_glare
+        words = []
+        if veil:
+            words.append(f"veiling glare {100 * veil:.3g} %" if isinstance(veil, float) else "veiling glare by wavelength")
+        if self.motion.is_on:
+            words.append(motion_words(self.motion))
+        if exposure.line_time_s:
+            words.append(f"rolling shutter, {exposure.line_time_us:g} µs a row")
+        if exposure.flickers:
+            words.append(f"light flickers at {exposure.flicker_hz:g} Hz by {100 * (exposure.flicker_depth or 0.0):.3g} %")
+        if exposure.frames > 1:
+            words.append(f"each frame the sum of {exposure.frames} exposures")
+        return words
 
     @classmethod
     def _merged(cls, layers: Iterable[Layer]) -> dict[str, Any]:

@@ -17,7 +17,6 @@ from pixsim.sensor.flicker import burst_modulation, clipped_light
 from pixsim.sensor.motion_options import Motion
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.readout import capture, capture_from_rates, make_sensor
-from pixsim.sensor.stages import stage_words
 from pixsim.viewer.display_options import Display
 from pixsim.viewer.noise_budget import FLICKER, noise_budget
 from pixsim.viewer.setting import Run
@@ -128,7 +127,7 @@ def test_budget_has_a_line_for_flicker() -> None:
 def test_settings_of_flicker() -> None:
     with pytest.raises(PixsimError, match="flicker_hz without flicker_depth; allowed: with the modulation of the lamp"):
         Exposure(flicker_hz=100.0)
-    assert stage_words(Run(exposure=Exposure(flicker_hz=100.0, flicker_depth=0.4))) == ["light flickers at 100 Hz by 40 %"]
+    assert Run(exposure=Exposure(flicker_hz=100.0, flicker_depth=0.4)).stage_words == ["light flickers at 100 Hz by 40 %"]
     for exposure in (Exposure(), Exposure(flicker_depth=0.4), Exposure(flicker_hz=100.0, flicker_depth=0.0)):
         assert exposure.steady is exposure
 
