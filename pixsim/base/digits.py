@@ -49,11 +49,11 @@ def pixel_size(side: float) -> str:
     >>> pixel_size(4.0), pixel_size(2.2), pixel_size(2.5612), pixel_size(0.004)
     ('4 µm', '2.2 µm', '2.56 µm', '0.004 µm')
     """
-    return f"{float(_micrometres(side)):.15g} µm"
+    return f"{_micrometres(side)} µm"
 
 
 def _micrometres(size: float) -> str:
-    return rounded(size) if size < SMALL_SIZE else f"{size:.2f}"
+    return rounded(size) if size < SMALL_SIZE else f"{round(size, 2):.15g}"
 
 
 def number(value: float | None, digits: int = 2, least: float = 0.0) -> str:
@@ -96,10 +96,10 @@ def duration(seconds: float) -> str:
 
 
 def interval(ends: tuple[float | None, float | None]) -> str:
-    """Return an interval of pixel sizes, of which each end may be open.
+    """Return an interval of pixel sizes to two decimals at most, of which each end may be open.
 
-    >>> interval((2.5, 3.0)), interval((None, 3.0)), interval((2.5, None))
-    ('2.50 to 3.00 µm', 'below 3.00 µm', 'above 2.50 µm')
+    >>> interval((2.5, 3.0)), interval((None, 3.014)), interval((2.5, None))
+    ('2.5 to 3 µm', 'below 3.01 µm', 'above 2.5 µm')
     """
     low, high = ends
     if low is None:

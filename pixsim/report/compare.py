@@ -389,7 +389,8 @@ def numbers(result: Comparison) -> dict[str, Any]:
         other: [_display_data(difference, (first, other)) for difference in result.display_differences(other)] for other in others
     }
     matches = {match: {other: result.pairs(other, match=match).difference for other in others} for match in result.job.matches}
-    verdicts = {other: "; ".join(verdict_parts(result, other)) for other in others}
+    metric = asked_metrics(result.job)[0]
+    verdicts = {other: "; ".join(verdict_parts(result, other, metric)) for other in others}
     return _differences_data(result) | {"displays": displays, "matches": matches, "verdicts": verdicts}
 
 

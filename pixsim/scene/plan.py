@@ -599,7 +599,7 @@ def decide_oversampling(
     )
     words = f"{details:.4g} {name} across the die"
     if not free:
-        return None, Decision(FILM, True, f"{_sampling(camera, physics, width)}; {words}; as set by --resolution")
+        return None, Decision(FILM, True, f"{_sampling(camera, physics, width)}; {words}; as set by resolution")
     most = film.largest_film(height / width, plan.light.planes, plan.cells_in_time)
     needed = film.SAMPLES_PER_DETAIL * details
     if width >= min(needed, most):

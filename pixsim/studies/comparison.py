@@ -136,7 +136,7 @@ class Comparison(Result):
         return [Note.restored(**note) for note in self.as_dict()["notes"]]
 
     def verdict(self, other: str) -> str:
-        """Return the answer for the first sensor and another by mean ΔE: which is better, by how much, how sure, what turns it.
+        """Return the answer for the first sensor and another by the first metric: which is better, by how much, how sure.
 
         other : name of the other one
         """

@@ -149,6 +149,7 @@ def test_first_metric_decides_and_delta_e_stands_where_it_was_asked_for(metrics:
     assert ("differences of mean ΔE" in page) == is_asked
 
     found = json.loads((tmp_path / "out/compare.json").read_text(encoding="utf-8"))
+    assert found["verdicts"]["noisy_one"].partition(" with match")[0] == head.partition(" with match")[0]
     rows = (tmp_path / "out/figures/scores.csv").read_text(encoding="utf-8").splitlines()
     assert rows[0] == "case,sensor,repeat,detectability"
     means = [np.mean([float(row.split(",")[3]) for row in rows[1:] if row.split(",")[1] == name]) for name in found["names"]]

@@ -186,7 +186,7 @@ def test_render_on_film_doubles_until_error_is_tolerated_or_no_film_can_be_fine_
 
 
 @pytest.mark.parametrize(
-    ("options", "words"), [({"fixed": "set by --resolution"}, "--resolution"), ({"max_seconds": 0.0}, "--max-seconds")]
+    ("options", "words"), [({"fixed": "set by resolution"}, "resolution"), ({"max_seconds": 0.0}, "max_seconds")]
 )
 def test_render_on_film_fixed_or_out_of_time_keeps_film(options, words):
     film, tried = rendered(lambda width: 1.0, **options)
@@ -201,7 +201,7 @@ def test_render_on_film_shares_its_time(limit_s: float, films: int, monkeypatch:
     monkeypatch.setattr("pixsim.studies.lights.time", SimpleNamespace(perf_counter=lambda: next(clock)))
     film, tried = rendered(lambda width: 40 / width, max_seconds=limit_s)
     assert tried == [256, 512, 1024][:films]
-    assert "--max-seconds" in film.limit
+    assert "max_seconds" in film.limit
 
 
 def test_run_resolution_is_judged_and_default_is_finer():
