@@ -149,7 +149,7 @@ def _rows_of(path: Path, kind: str) -> dict[tuple[object, ...], dict[str, float]
     names = list(reader.fieldnames or ())
     if names[:3] != list(COLUMNS[:3]) or first_number not in names:
         raise invalid("results", f"'{path}'", "the rows of a study")
-    if not all(map(is_as_written, lines)):
+    if not all(is_as_written(line, head) for line in lines):
         raise invalid(
             "results", f"'{path}', with a row that changed after pixsim wrote it", "rows as pixsim wrote them", MAKE_AGAIN
         )

@@ -16,7 +16,7 @@ from array import array
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from itertools import chain, islice, pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, overload
 
@@ -162,7 +162,6 @@ TEXTS = COLUMNS[:2]
 MAX_BYTES = 1 << 31  # eight million rows
 MAX_LINE = 1 << 14
 CHECK = "check"  # the last column, which shows whether a row is as it was written
-ROWS_AT_ONCE = 1 << 10  # that are written
 
 Row = dict[str, str]  # of a file
 
@@ -188,6 +187,7 @@ class Store:
         self.another_schema: str | None = None
         self.damaged = 0
         self.columns, self.metrics = row_columns(labels, metrics), tuple(metrics)
+        self._head = csv_text([[*self.columns, KEY, CHECK]]).rstrip()
         self.numbers = *PIXEL_STATISTICS, *columns_of_metrics(metrics)
         self._places: dict[str, int] = {}
         self._values = array("d")
@@ -233,7 +233,7 @@ class Store:
             else:
                 has_others = True
 
-        has_content = self.path.is_file() and self.path.stat().st_size > len(self._text([self._head])) + 1
+        has_content = self.path.is_file() and self.path.stat().st_size > len(self.text(())) + 1
         if has_content and (has_others or self.damaged or not self._places or self.another_schema is not None):
             self._say_what_is_kept(self.path)
         self.write(self._trusted_rows(self.path))
@@ -286,16 +286,17 @@ class Store:
         with opened(path, "results", allowed, MAX_BYTES) as file:
             lines = _lines(file)
             try:
-                names = next(csv.reader(lines), [])
+                head = next(lines, "")
+                names = next(csv.reader([head]), [])
                 for line in lines:
                     row = dict(zip(names, next(csv.reader([line]), []), strict=False))
                     stated = row.get(KEY) if KEY in names else "" if TEXTS[0] in names else None
-                    if names[-1] == CHECK and not is_as_written(line):
+                    if names[-1:] == [CHECK] and not is_as_written(line, head):
                         self.damaged += 1
                     elif stated not in ROW_SCHEMAS:
                         if stated == "" or (stated and stated.isdecimal()):  # else it is no row
                             self.another_schema = stated
-                    elif names[-1] == CHECK and self._has_numbers(row):  # no row of 1.1 is of these settings
+                    elif names[-1:] == [CHECK] and self._has_numbers(row):  # no row of 1.1 is of these settings
                         yield {name: row.get(name, "") for name in self.columns}
             except csv.Error as error:
                 hint = "Move the file away: its rows are then computed again."
@@ -332,14 +333,13 @@ class Store:
     def write(self, rows: Iterable[Sequence[Any]]) -> None:
         """Replace the file by these rows, completely or not at all."""
         assert self.path is not None
-        left = chain([self._head], rows)
         with clear_write_errors(self.path), replacing(self.path, named=False) as partial, partial.open("wb") as file:
-            while some := list(islice(left, ROWS_AT_ONCE)):
-                file.write(self._text(some))
+            file.write(_line(self._head))
+            file.writelines(map(self._row_line, rows))
 
     def _append(self, path: Path, rows: Collection[Sequence[Any]]) -> None:
         """Append all of the rows to the file, or none if writing fails."""
-        text = self._text(rows)
+        text = b"".join(map(self._row_line, rows))
         with clear_write_errors(path), open(path, "ab", 0, opener=not_through_links) as file:
             before = file.tell()
             try:
@@ -349,33 +349,29 @@ class Store:
                 file.truncate(before)
                 raise
 
-    @property
-    def _head(self) -> tuple[str, ...]:
-        return self.columns
-
     def text(self, rows: Iterable[Sequence[Any]]) -> str:
         """Return a file of these rows."""
-        return self._text([self._head, *rows]).decode()
+        return b"".join([_line(self._head), *map(self._row_line, rows)]).decode()
 
-    def _text(self, rows: Iterable[Sequence[Any]]) -> bytes:
-        """Return rows as lines of the file; at the end of each stand the schema and the check of all that is before it."""
-        lines = []
-        for row in rows:
-            is_head = row is self.columns
-            body = csv_text([[*row, KEY if is_head else SCHEMA]]).rstrip("\r\n")
-            lines.append(f"{body},{CHECK if is_head else check_of(body)}\r\n")
-        return "".join(lines).encode()
+    def _row_line(self, row: Sequence[Any]) -> bytes:
+        """Return a row as a line of the file; at its end stand the schema and the check."""
+        body = csv_text([[*row, SCHEMA]]).rstrip()
+        return _line(f"{body},{check_of(body, self._head)}")
 
 
-def is_as_written(line: str) -> bool:
-    """Return whether a row of results.csv has the check of its text."""
+def _line(text: str) -> bytes:
+    return f"{text}\r\n".encode()
+
+
+def is_as_written(line: str, head: str) -> bool:
+    """Return whether a row of results.csv has the check of its text below the line of names."""
     body, _, check = line.rpartition(",")
-    return check == check_of(body)
+    return check == check_of(body, head)
 
 
-def check_of(body: str) -> str:
-    """Return the check of a row of results.csv: the CRC-32 of its text, as a number."""
-    return str(zlib.crc32(body.encode()))
+def check_of(body: str, head: str) -> str:
+    """Return the check of a row of results.csv: the CRC-32 of the line of names and of the row's text, as a number."""
+    return str(zlib.crc32(body.encode(), zlib.crc32(head.encode())))
 
 
 def check_replaceable_results(path: Path) -> None:

@@ -30,7 +30,7 @@ def edited(path: Path, change: str) -> bytes:
         rows = [line[:-2] for line in rows]
     else:
         for line in rows[1 if change == "all" else -1 :]:
-            line[-2:] = [str(SCHEMA + 1), check_of(",".join([*line[:-2], str(SCHEMA + 1)]))]
+            line[-2:] = [str(SCHEMA + 1), check_of(",".join([*line[:-2], str(SCHEMA + 1)]), ",".join(rows[0]))]
     with path.open("w", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows(rows)
     return path.read_bytes()

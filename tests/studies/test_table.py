@@ -97,3 +97,15 @@ def test_an_edited_row_of_a_study_is_computed_again_with_a_note(tmp_path: Path) 
     with pytest.warns(UserWarning, match="1 row of .* changed after pixsim wrote"):
         again = pixsim.study(tiny(), tmp_path, jobs=1)
     assert [row.optimum.pitch_um for row in again.curves] == [row.optimum.pitch_um for row in study.curves]
+
+
+def test_rows_below_changed_names_of_columns_are_not_believed(tmp_path: Path) -> None:
+    results = Store(tmp_path / "results.csv")
+    results.write([ROW.values()])
+    head, line = results.path.read_bytes().splitlines(keepends=True)
+    swapped = head.replace(b"full_well_e,integration_s", b"integration_s,full_well_e")
+    assert swapped != head
+    results.path.write_bytes(swapped + line)
+    with pytest.warns(UserWarning, match="1 row of .* changed after pixsim wrote"):
+        assert Store(results.path).resume(lambda _: True) == []
+    assert results.path.read_bytes() == head
