@@ -30,7 +30,7 @@ class RecordType(ModelMetaclass):
             hint = "Of a file: tomllib.loads(Path('sensor.toml').read_text())['pixel'], after ** in the brackets."
             raise invalid(cls.__name__, repr(args[0])[:MAX_VALUE], "fields by name, as pitch_um=3.45", hint)
         try:
-            return super().__call__(*args, **cls._of_python(fields))  # type: ignore[attr-defined]
+            return super().__call__(*args, **fields)
         except ValidationError as error:
             raise PixsimError(explain(error)) from None
 
@@ -50,11 +50,6 @@ class Record(BaseModel, metaclass=RecordType):
     """Frozen, validated parameters. Invalid values and unknown names raise PixsimError, a ValueError."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    @classmethod
-    def _of_python(cls, fields: dict[str, Any]) -> dict[str, Any]:
-        """Return the fields of a call of the class, which only Python makes: what files may not say may stand in them."""
-        return fields
 
     @field_validator("*", mode="before")
     @classmethod

@@ -18,7 +18,7 @@ from pixsim.optics.camera import Camera
 from pixsim.optics.chief_rays import as_chief_ray_angles, as_relative_illumination
 from pixsim.sensor.spread import Spread, Uncertainty, sheet_uncertainty, without_uncertainty
 from pixsim.studies.settings import Study, has_study_settings, is_case_name, owner_of, paths_of, setting_path, study_layers
-from pixsim.viewer.develop_options import as_tone_curve, of_python
+from pixsim.viewer.develop_options import as_tone_curve
 from pixsim.viewer.merging import merge, merged
 from pixsim.viewer.metric_registry import names_of
 from pixsim.viewer.score import Score
@@ -276,7 +276,7 @@ def tables_of_python(settings: Mapping[str, object], metrics: Sequence[str | Cal
             tables[name] = value.options.model_dump(exclude_none=True)
         elif isinstance(value, Record):
             tables[name] = value.model_dump(exclude_unset=True)
-    return plain_tables(of_python(tables))
+    return plain_tables(tables)
 
 
 def study_of(study: Study | str | os.PathLike[str], quick: bool = False) -> Layer:

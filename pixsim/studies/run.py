@@ -45,7 +45,6 @@ from pixsim.viewer.causes import causes_of, lightness_range
 from pixsim.viewer.chain import ImagingChain
 from pixsim.viewer.colour_matrix import AlikeChannelsError
 from pixsim.viewer.dark_clip import dark_clip
-from pixsim.viewer.develop_options import of_python
 from pixsim.viewer.display import white_rate
 from pixsim.viewer.evaluate import reviewed
 from pixsim.viewer.imaging import Imaging
@@ -553,7 +552,7 @@ def run(
         settings["metrics"] = names_of(metrics)
     with collected_notes():  # also of what is found before the run begins
         own = {name: table for name, table in (("scene", parameters), ("pixel", pixel)) if table}
-        asked = run_settings(config, of_python(settings) | own)
+        asked = run_settings(config, settings | own)
         prepared = prepare(
             str(scene), asked, full=full, repeats=repeats, frames=frames, sensor=sensor, variant=variant, units=units
         )

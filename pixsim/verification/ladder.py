@@ -24,7 +24,6 @@ from pixsim.studies.lights import LightRequest, light_request, rendered_light
 from pixsim.studies.prepare import loaded_scene
 from pixsim.verification.case import ExtremeCase
 from pixsim.verification.extreme_cases import all_cases
-from pixsim.viewer.develop_options import with_functions
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.score import NOT_MEASURED, LightError
 from pixsim.viewer.screen import white_header
@@ -137,7 +136,7 @@ def accuracy(
     (2, True)
     """
     tables = {"camera": camera, "lens": lens, "pixel": pixel, "exposure": exposure, "motion": motion}
-    tables |= {"correction": correction, "develop": develop and with_functions(develop), "display": display, "scene": parameters}
+    tables |= {"correction": correction, "develop": develop, "display": display, "scene": parameters}
     settings = run_settings(config, {name: value for name, value in (tables | {"seed": seed}).items() if value is not None})
     return measure_accuracy(os.fspath(scene), settings, quick=quick, sensor=sensor, variant=variant, progress=progress or no_stage)
 

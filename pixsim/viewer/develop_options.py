@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, cast
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, cast
 from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema, model_validator
 
 from pixsim.base.bounds import brief
-from pixsim.base.errors import invalid, one_line
+from pixsim.base.errors import invalid
 from pixsim.base.records import Record, UnitInterval, as_float, as_list
 from pixsim.base.user_code import by_value, code_hash
 from pixsim.light.curves import MAX_FILE_BYTES, rows_schema
@@ -32,7 +31,7 @@ MAX_TONE_LIGHT, MAX_TONE_ROWS = 1e6, 4096
 # Light, 1 for white, and value, 1 for the top code; both rise.
 ToneRow = tuple[Annotated[float, Field(ge=0, le=MAX_TONE_LIGHT)], UnitInterval]
 ToneTable = tuple[ToneRow, ...]
-OF_FUNCTIONS = "the function of one's own is given in Python: develop={'denoise': my_function}, or 'module:function' there"
+OF_FUNCTIONS = "the function of one's own is given in Python: develop={'denoise': my_function}"
 
 
 def _as_gains(value: object) -> object:
@@ -66,41 +65,9 @@ _functions: dict[str, OwnDenoiser] = {}  # that this process was given, by their
 def own_denoiser(function: Callable[[Any, float], Any]) -> OwnDenoiser:
     """Return the denoiser of a function, which this process knows from now on."""
     name = getattr(function, "__qualname__", type(function).__qualname__)
-    found = OwnDenoiser(function, f"{getattr(function, '__module__', '')}:{name}#{code_hash(function)}")
-    _functions[found.text] = found
-    return found
-
-
-def function_of(text: str) -> OwnDenoiser:
-    """Return the denoiser of 'module:function', which is imported: for texts of Python, never for those of a file.
-
-    Raises PixsimError if there is no such function.
-    """
-    module, _, name = text.partition(":")
-    try:
-        found: Any = import_module(module)
-        for part in name.split("."):
-            found = getattr(found, part)
-    except Exception as error:  # whatever the module raises
-        got = f"'{text}' ({type(error).__name__}: {one_line(str(error), 200)})"
-        raise invalid("develop.denoise", got, "'module:function' of a module that can be imported") from None
-    if not callable(found):
-        raise invalid("develop.denoise", f"'{text}', which is no function", "a function of a plane and the strength")
-    return own_denoiser(found)
-
-
-def with_functions(develop: Mapping[str, Any]) -> dict[str, Any]:
-    """Return fields of [develop] that stand in Python, whose 'module:function' has become the function."""
-    text = develop.get("denoise")
-    if isinstance(text, str) and ":" in text and text not in _functions:
-        return {**develop, "denoise": function_of(text)}
-    return dict(develop)
-
-
-def of_python(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return tables of settings that stand in Python, with functions as of `with_functions`."""
-    table = settings.get("develop")
-    return {**settings, "develop": with_functions(table)} if isinstance(table, Mapping) else dict(settings)
+    denoiser = OwnDenoiser(function, f"{getattr(function, '__module__', '')}:{name}#{code_hash(function)}")
+    _functions[denoiser.text] = denoiser
+    return denoiser
 
 
 def _as_denoiser(value: object) -> object:
@@ -196,7 +163,7 @@ class Develop(Record):
         "none",
         description="noise reduction on the raw planes, before demosaicing: 'nlm', non-local means, and 'wavelet', both of "
         "scikit-image behind a transform that makes the known noise even; or 'wiener_bound', the linear shift-invariant filter of "
-        "least mean square error, which knows the picture; in Python also a function, or 'module:function'",
+        "least mean square error, which knows the picture; in Python also a function",
     )
     denoise_strength: Annotated[float, Field(ge=0, le=100)] = Field(
         1.0, description="of 'nlm', 'wavelet' and a function: the noise that is taken away, relative to the known one"
@@ -242,10 +209,6 @@ class Develop(Record):
     tone_white: Annotated[float, Field(ge=1, le=1e6)] = Field(
         4.0, description="of 'reinhard': w, the luminance, 1 for the scene's white, that the display shows as its white"
     )
-
-    @classmethod
-    def _of_python(cls, fields: dict[str, Any]) -> dict[str, Any]:
-        return with_functions(fields)
 
     @model_validator(mode="after")
     def _radius_is_stated_once(self) -> Self:

@@ -195,6 +195,6 @@ def evaluate(
     for cause in causes:
         if cause.leaves_nothing:
             warn(cause.note)
-    # The ideal picture is that of the chain, which stays.
     light, limit = noise_error_and_limit(irradiance.header)
-    return replace(score, ideal=score.ideal.copy(), light=light, light_limit=limit, causes=causes, _scored=None)
+    ideal = score.ideal.copy()  # that of the chain stays in memory
+    return replace(score, ideal=ideal, light=light, light_limit=limit, causes=causes)

@@ -7,12 +7,9 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Annotated, Any
 
-import numpy as np
-
 from pixsim.base.arrays import Array
 from pixsim.base.bounds import Bounds, NotNegative
 from pixsim.base.digits import estimate, exposure_time
-from pixsim.base.errors import invalid
 from pixsim.base.notes import Note
 from pixsim.base.result import Result
 from pixsim.sensor.pixel import PixelPhysics
@@ -89,16 +86,6 @@ class Score(Result):
     display: Display = field(repr=False)
     metrics: dict[str, FloatOrNaN] = field(default_factory=dict, kw_only=True)
     further: dict[str, FloatOrNaN] = field(default_factory=dict, kw_only=True, repr=False)
-    _scored: dict[str, Any] | None = field(default=None, kw_only=True, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        pictures: dict[str, Any] = {"delta_e": self.delta_e, "ideal": self.ideal, "image": self.image, "display": self.display}
-        for name, scored in (self._scored or {}).items():
-            if pictures[name] is not scored and not np.array_equal(pictures[name], scored):  # equal after a journey to a worker
-                got = f"another {name} in a Score, whose numbers would be those of the old one"
-                hint = "Score other pictures: pixsim.score_pictures(score.ideal, image, score.display)."
-                raise invalid(name, got, f"the {name} that was scored", hint)
-        object.__setattr__(self, "_scored", pictures)
 
     @property
     def mean_delta_e(self) -> float:

@@ -459,8 +459,6 @@ def test_noise_aware_matrix_knows_that_noise_is_reduced() -> None:
     ("fields", "words"),
     [
         ({"denoise": "bm3d"}, r"denoise.*none, wiener_bound, nlm, wavelet.*given in Python"),
-        ({"denoise": "no_such_module:f"}, r"ModuleNotFoundError.*can be imported"),
-        ({"denoise": "math:pi"}, "no function"),
         ({"denoise_strength": -0.1}, "denoise_strength"),
         ({"sharpen_amount": 1e30}, "sharpen_amount"),
         ({"sharpen_amount": 1.0, "sharpen_radius_px": 1.0, "sharpen_radius_cy_per_deg": 3.0}, "state the same quantity"),
@@ -477,11 +475,10 @@ def test_what_cannot_be_is_refused(fields: dict[str, Any], words: str) -> None:
 
 
 def test_functions_come_from_python_only(tmp_path: Any) -> None:
-    """A file, and what a result's settings.toml states, names none; text of Python does, and a function travels with its code."""
+    """A file, and what a result's settings.toml states, names none; a function travels with its code."""
     (tmp_path / "own.toml").write_text('[develop]\ndenoise = "shutil:rmtree"\n')
     with pytest.raises(PixsimError, match=r"own.toml.*got .shutil:rmtree.*given in Python"):
         pixsim.run("flat", config=tmp_path / "own.toml")
-    assert Develop(denoise="scipy.ndimage:median_filter").denoiser.endswith(":median_filter")
     one, other = (Develop(denoise=each) for each in (same, smooth))
     assert one.content_hash != other.content_hash
     assert Develop.model_validate(one.model_dump(mode="json")).denoise == one.denoise
