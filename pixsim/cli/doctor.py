@@ -107,7 +107,7 @@ def _graphics(card: graphics.GraphicsTrial) -> Diagnosis:
     facts = {"fault": card.fault}
     if card.fault is None:
         return Diagnosis("graphics card", OK, "works, and traces by default", facts=facts)
-    mark = NOTE if card.tried_s else OK  # none is required
+    mark = NOTE if card.tried else OK  # none is required
     return Diagnosis("graphics card", mark, f"not used: {card.fault}", facts=facts)
 
 

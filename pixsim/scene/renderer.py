@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 from functools import cached_property, partial
@@ -19,7 +18,6 @@ from pixsim.base.arrays import Array, strips
 from pixsim.base.bounds import Whole
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.mapped import release, zeros
-from pixsim.base.notes import Note, warn
 from pixsim.base.progress import Progress
 from pixsim.base.records import content_hash
 from pixsim.base.version import VERSION
@@ -34,7 +32,7 @@ from pixsim.scene import white_plate
 from pixsim.scene.bands import Fit, Pulse
 from pixsim.scene.contents import asset_files, warnings_of_skies
 from pixsim.scene.guard.tracer import Tracer, tracer_of
-from pixsim.scene.job import Lamps, Passes, TraceJob, irregular, regular
+from pixsim.scene.job import Lamps, OutOfTimeError, Passes, TraceJob, irregular, regular
 from pixsim.scene.plan import Plan, WhitePlate, make_render_plan
 from pixsim.scene.rules import BACKGROUNDS, SAMPLE_COUNTS, irregular_tables
 from pixsim.scene.scene import Scene, check_resolution, hash_of_tree, is_packaged, sensor_node
@@ -245,7 +243,6 @@ class Renderer:
         self.packaged, self.ends_at_s = is_packaged(text, [Path(file.path) for file in files]), ends_at_s
         self.cache = CachedRenders(hash_of_job(scene, state, camera, plan, seed)) if keep else None
         self.sees_infinity = any(node.plugin in PICTURES_AT_INFINITY for _, node in nodes_of(state, "Emitter"))
-        self.begun = False  # whether there is a run of the variant
 
     @cached_property
     def tracer(self) -> Tracer:
@@ -255,24 +252,6 @@ class Renderer:
         """
         own = self.packaged and self.source.choice.processors is None and self.ends_at_s is None
         return tracer_of(self.job, own, lambda: self.ends_at_s)
-
-    def leave_card(self, error: PixsimError) -> None:
-        """Trace on the processors from now on, since the graphics card failed. Raises the error where nothing can be changed.
-
-        A card that was asked for stays, and so does one that has made a run: no result mixes variants.
-        """
-        processors = self.source.choice.processors
-        if processors is None or (self.ends_at_s is not None and time.monotonic() > self.ends_at_s):
-            raise error
-        if self.begun or self.source.choice.asked:
-            raise PixsimError(f"{error} To render without the graphics card: --variant {processors.variant}.") from None
-        warn(Note("machine", words=f"rendering with {processors.variant}, since the graphics card failed: {error}"))
-        self.source = replace(self.source, choice=processors)
-        self.job = replace(self.job, variant=processors.variant)
-        self.__dict__.pop("tracer", None)
-        if self.cache:
-            state = parse_tree(self.job.text, processors.variant)
-            self.cache = CachedRenders(hash_of_job(self.source, state, self.camera, self.plan, self.seed))
 
     def fall_off(self, rows: slice = WHOLE, columns: slice = WHOLE) -> Array:
         """Return the irradiance relative to that on the axis, at the centre of each rendered cell of some rows and columns."""
@@ -290,14 +269,14 @@ class Renderer:
                 _ = self.depths_m  # now: behind the renders no time may be left
                 result = self._rendered(index, level, progress)
             except PixsimError as error:
-                error.args = (self.text.with_place(str(error)),)
-                self.leave_card(error)
-                return self.run(index, progress, level)
+                card = self.source.choice.processors is not None and not isinstance(error, OutOfTimeError)
+                hint = f" To render without the graphics card: --variant {self.source.choice.reading}." if card else ""
+                error.args = (self.text.with_place(str(error)) + hint,)
+                raise
             if self.cache and not self.plan.samples.exact:  # which takes no longer than reading a file
                 self.cache.store(index, level, *result)
         elif progress:
             progress(1.0)
-        self.begun = True
         return [self.distorted(planes) for planes in result[0]], result[1]
 
     @cached_property

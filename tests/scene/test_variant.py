@@ -56,10 +56,11 @@ def test_llvm_version_missing_function_is_0():
     assert variant.llvm_version(name) == 0
 
 
-def test_llvm_version_other_file_is_none(tmp_path):
+def test_llvm_version_other_file_raises(tmp_path):
     (tmp_path / "libLLVM.so").write_text("not a library")
-    assert variant.llvm_version(str(tmp_path / "libLLVM.so")) is None
-    assert variant.llvm_version(str(tmp_path / "nowhere.so")) is None
+    for name in ("libLLVM.so", "nowhere.so"):
+        with pytest.raises(OSError, match=r"libLLVM|nowhere"):
+            variant.llvm_version(str(tmp_path / name))
 
 
 @pytest.mark.skipif(not OLD_SYSTEM_LLVM, reason="no LLVM 11 to 16 on this system")
@@ -151,7 +152,7 @@ def test_find_llvm_unusable_variable_raises(tmp_path):
     faults = {
         str(tmp_path / "broken.so"): "which cannot be loaded (no library for this machine)",
         str(tmp_path / "nowhere.so"): "which cannot be loaded (no such file)",
-        str(tmp_path): "which cannot be loaded (it is a folder)",
+        str(tmp_path): "which cannot be loaded (no library for this machine)",
     } | ({old: "which is version 15 or older"} if old else {})
     done = python(RUN_WITH_EACH, str(tmp_path / "out"), *faults)
     # Without the judgement Mitsuba aborts the process at the first render (signal 6) or quietly takes another library.

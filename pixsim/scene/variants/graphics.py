@@ -8,10 +8,9 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 from pixsim.base import cache, machine
@@ -33,7 +32,6 @@ DRIVER_SETTINGS = (
     "DRJIT_LIBOPTIX_PATH",
 )
 PICTURE_S = 90.0  # the first picture on a card compiles everything
-FAILED_S = 86400.0  # before a failure is tried again
 KIND = "cards"
 NO_CARD = "no NVIDIA card is here (no /dev/nvidiactl)"
 NEEDS = "Mitsuba needs a driver for CUDA 12.2 (535) or newer, but not 12.7 (565), with libnvoptix.so.1, and compute capability 7.5"
@@ -42,10 +40,10 @@ NOT_CACHED = f"the cache cannot hold the result of a trial; --variant {CUDA} tak
 
 @dataclass(frozen=True)
 class GraphicsTrial:
-    """Why the graphics card is not used, None if it works; and when it was tried, in s since the epoch, 0 if it was not."""
+    """Why the graphics card is not used, None if it works; and whether that was tried."""
 
     fault: str | None
-    tried_s: float = 0.0
+    tried: bool = True
 
 
 @contextmanager
@@ -54,18 +52,16 @@ def without_driver() -> Iterator[None]:
 
     Else it takes memory of every card in each process, also for LLVM, and ends the process if that fails.
     """
-    before = os.environ.get(DRIVER_VARIABLE)
     if sys.platform != "linux" or "drjit" in sys.modules:
         yield
         return
+    before = {name: value for name, value in os.environ.items() if name == DRIVER_VARIABLE}
     os.environ[DRIVER_VARIABLE] = ""  # then it finds no functions of a driver, and says nothing
     try:
         yield
     finally:
-        if before is None:
-            del os.environ[DRIVER_VARIABLE]
-        else:
-            os.environ[DRIVER_VARIABLE] = before
+        del os.environ[DRIVER_VARIABLE]
+        os.environ.update(before)
 
 
 def absent() -> str | None:
@@ -83,22 +79,22 @@ def absent() -> str | None:
 def verdict(again: bool = False) -> GraphicsTrial:
     """Return whether the graphics card works, from the cache or a trial; `again`: in any case from a trial."""
     if fault := absent():
-        return GraphicsTrial(fault)
+        return GraphicsTrial(fault, tried=False)
     has_cache = cache.limit_bytes() > 0 and cache.can_hold(KIND)
     if not again and not has_cache:
-        return GraphicsTrial(NOT_CACHED)  # or each process, and each worker of a study, would try
+        return GraphicsTrial(NOT_CACHED, tried=False)  # or each process, and each worker of a study, would try
 
     settings = [os.environ.get(name) for name in DRIVER_SETTINGS]
     files = [machine.text_of(path) for path in (DRIVER_FILES / "version", *sorted(DRIVER_FILES.glob("gpus/*/information")))]
     key = content_hash([files, settings, cache.version_fingerprint("mitsuba", "drjit")])
-    trial = None if again else cache.value_of(KIND, key, lambda content: GraphicsTrial(**content))
-    if trial is not None and (trial.fault is None or 0 <= time.time() - trial.tried_s < FAILED_S):
+    trial = None if again else cache.value_of(KIND, key, lambda content: GraphicsTrial(content["fault"]))
+    if trial is not None:
         return trial
 
     fault = attempt(CUDA, limit_s=PICTURE_S).fault
-    trial = GraphicsTrial(fault and f"its trial render fails: {fault.removesuffix('.')} ({NEEDS})", time.time())
+    trial = GraphicsTrial(fault and f"its trial render fails: {fault.removesuffix('.')} ({NEEDS})")
     if has_cache:
-        cache.store_value(KIND, key, asdict(trial))
+        cache.store_value(KIND, key, {"fault": trial.fault})
     if not again:
         passed = "the graphics card passed its trial: scenes are traced on it from now on, unless --variant is given"
         failed = f"the graphics card is not used: {trial.fault}; `pixsim doctor` tries it again"

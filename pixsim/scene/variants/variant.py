@@ -43,14 +43,12 @@ class ChosenVariant:
     """A variant, its LLVM library if any, and why it was chosen.
 
     processors : where a graphics card traces, what reads the scene and its spectra in this process: the driver never runs here
-    asked : whether the graphics card was asked for, so that no processors take its place if it fails
     """
 
     variant: str
     llvm_path: str | None
     reason: str
     processors: ChosenVariant | None = None
-    asked: bool = False
 
     @property
     def reading(self) -> str:
@@ -58,44 +56,40 @@ class ChosenVariant:
         return self.variant if self.processors is None else self.processors.variant
 
 
-def llvm_version(path: str) -> int | None:
-    """Return the major version of a libLLVM: 0 if it is older than 16, None if it cannot be loaded.
+def llvm_version(path: str) -> int:
+    """Return the major version of a libLLVM; 0 if it is older than 16. Raises OSError if it cannot be loaded.
 
     It is loaded with ctypes, which does not abort where Mitsuba would.
     """
-    try:
-        get_version = ctypes.CDLL(path).LLVMGetVersion
-    except OSError:
-        return None
-    except AttributeError:
+    library = ctypes.CDLL(path)
+    if not hasattr(library, "LLVMGetVersion"):
         return 0
     major = ctypes.c_uint()
-    get_version(ctypes.byref(major), None, None)
+    library.LLVMGetVersion(ctypes.byref(major), None, None)
     return int(major.value)
 
 
-def cached_version(path: str) -> int | None:
+def cached_version(path: str) -> int:
     """Return `llvm_version`, cached for a library's size and time of change: loading it takes 50 ms, in vain without a render.
 
-    That a library cannot be loaded is not cached: it may lack another one.
+    Raises OSError if it cannot be loaded, which is not cached: it may need another library that is missing.
     """
-    try:
-        file = os.stat(path)
-    except OSError:
+    if not os.path.exists(path):  # the system may find its name in a folder for libraries
         return llvm_version(path)
+    file = os.stat(path)
     key = content_hash([os.path.realpath(path), file.st_size, file.st_mtime_ns, cache.version_fingerprint()])
-    version = cache.value_of("llvm", key, lambda content: int(content["major"]))
-    if version is None and (version := llvm_version(path)) is not None:
-        cache.store_value("llvm", key, {"major": version})
-    return version
+    return cache.load_or_compute(
+        "llvm", key, lambda content: int(content["major"]), lambda: llvm_version(path), lambda major: {"major": major}
+    )
 
 
-def library_fault(path: str, version: int | None) -> str | None:
-    """Return why Mitsuba cannot use a libLLVM of a `llvm_version`; None if it can."""
-    if version is not None:
-        return f"is version {version or '15 or older'}" if version < OLDEST_LLVM else None
-    reason = "no library for this machine" if os.path.exists(path) else "no such file"
-    return f"cannot be loaded ({'it is a folder' if os.path.isdir(path) else reason})"
+def library_fault(path: str) -> str | None:
+    """Return why Mitsuba cannot use a libLLVM; None if it can."""
+    try:
+        version = cached_version(path)
+    except OSError:
+        return "cannot be loaded (no library for this machine)" if os.path.exists(path) else "cannot be loaded (no such file)"
+    return None if version >= OLDEST_LLVM else f"is version {version or '15 or older'}"
 
 
 def candidates() -> Iterator[tuple[str, str]]:
@@ -136,10 +130,9 @@ def find_llvm() -> tuple[str | None, str]:
     if given in _reasons:
         return given, _reasons[given]
     for path, origin in candidates():
-        version = cached_version(path)
-        fault = library_fault(path, version)
+        fault = library_fault(path)
         if fault is None:
-            return path, f"{origin}, LLVM {version}"
+            return path, f"{origin}, LLVM {cached_version(path)}"
         if origin == LLVM_VARIABLE:
             hint = f"Unset it and install the wheel: pip install {LLVM_WHEEL}."
             raise invalid(LLVM_VARIABLE, f"'{path}', which {fault}", f"LLVM {OLDEST_LLVM} or newer", hint)
@@ -161,7 +154,7 @@ def choose(asked: str | None = None) -> ChosenVariant:
         raise invalid("variant", f"'{asked}', but {fault}", "a variant that runs here", UNUSABLE_HINT)
     processors, lacks = _for_processors(asked)
     if asked == CUDA:
-        return ChosenVariant(CUDA, processors.llvm_path, "requested", processors, asked=True)
+        return ChosenVariant(CUDA, processors.llvm_path, "requested", processors)
     if asked is not None:
         return processors
     card = graphics.verdict()
@@ -176,17 +169,15 @@ def _for_processors(asked: str | None) -> tuple[ChosenVariant, str]:
     """Return LLVM, or else scalar, and in that case what it lacks for LLVM and how to get it."""
     if "drjit" in sys.modules and not os.environ.get(LLVM_VARIABLE):
         # It is too late to choose a library, and scalar_spectral needs none.
-        hint = "import pixsim.scene.renderer before mitsuba and drjit, or set " + LLVM_VARIABLE
-        if asked == LLVM:
-            raise invalid("variant", f"'{asked}' after Mitsuba was imported", SCALAR, f"Or {hint}.")
-        cause = "Mitsuba was imported before its LLVM was checked"
-        return ChosenVariant(SCALAR, None, "Mitsuba was imported before pixsim could check its LLVM"), f"{cause}; {hint}"
-    path, reason = find_llvm()
+        path, reason = None, "Mitsuba was imported before its LLVM was checked"
+        hint = f"import pixsim.scene.renderer before mitsuba and drjit, or set {LLVM_VARIABLE}"
+    else:
+        path, reason = find_llvm()
+        hint = f"for renders several times faster: pip install {LLVM_WHEEL} (or pixsim[llvm])"
     if path is not None:
         os.environ[LLVM_VARIABLE] = path
         _reasons[path] = reason
         return ChosenVariant(LLVM, path, reason), ""
-    hint = f"for renders several times faster: pip install {LLVM_WHEEL} (or pixsim[llvm])"
     if asked == LLVM:
-        raise invalid("variant", f"'{asked}', but {reason}", f"LLVM {OLDEST_LLVM} or newer", f"Install one, {hint}.")
+        raise invalid("variant", f"'{asked}', but {reason}", f"LLVM {OLDEST_LLVM} or newer", f"To mend it, {hint}.")
     return ChosenVariant(SCALAR, None, reason), f"{reason}; {hint}"
