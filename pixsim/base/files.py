@@ -253,15 +253,13 @@ LIST = "pixsim.json"  # of the files that pixsim wrote to an output folder
 LIST_OF_1_1 = "provenance.json"
 MAX_LIST = 1 << 24  # bytes
 PIXSIM = "pixsim"
-MADE_FROM = "made_from"  # in the list: command -> hash of all that its files were made from
-SAID = "said"  # in the list: what the command said of them
 SHOWN_FILES = 6  # in a message
 
 
 def read_list(folder: Path) -> dict[str, Any]:
     """The list of an output folder, also of release 1.1; empty if there is none that pixsim wrote.
 
-    "files" are the names of all files of pixsim, "written" the sizes and times of those of the last command.
+    "files" are the names of all files of pixsim.
 
     Raises PixsimError if a newer pixsim wrote it.
     """
@@ -270,7 +268,6 @@ def read_list(folder: Path) -> dict[str, Any]:
         content = json.loads(read_text(path, "list of files", "JSON", MAX_LIST))
         content["versions"] = {PIXSIM: str(content["versions"][PIXSIM])}
         content["files"] = [str(name) for name in content.get("files", ())]
-        content["written"] = dict(content.get("written", {}))
     except (PixsimError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return {}
     check_not_newer(f"output folder '{folder}'", content.get(KEY))
@@ -310,7 +307,7 @@ def check_replaceable(folder: str | os.PathLike[str], names: Iterable[str]) -> N
 def publishing(folder: Path, provenance: Mapping[str, Any] | None = None) -> Iterator[Path]:
     """A temporary folder, whose files are moved to `folder` one by one when all of them are written.
 
-    The list of the folder's files is written first, so that a killed process leaves no file that nobody knows, and last.
+    The list of the folder's files is written first, so that a killed process leaves no file that nobody knows.
 
     provenance : more content of the list; its value at the end of the block counts
 
@@ -321,44 +318,17 @@ def publishing(folder: Path, provenance: Mapping[str, Any] | None = None) -> Ite
     with unfinished(folder, is_folder=True) as partial:
         with disk_faults_named(partial, folder, unchanged):
             yield partial
-            made = {path.relative_to(partial).as_posix(): _stamp(path) for path in partial.rglob("*") if not path.is_dir()}
+            made = sorted(path.relative_to(partial).as_posix() for path in partial.rglob("*") if not path.is_dir())
             check_replaceable(folder, made)
             before = read_list(folder).get("files", ())
             listed = sorted({*made, *(name for name in before if os.path.lexists(folder / name))})
             content = {"versions": versions(), **(provenance or {}), "files": listed}
             # All that needs room on the disk is made before the first file is moved.
-            write_json(partial / LIST, content | {"written": made}, named=False)
             for name in made:
                 (folder / name).parent.mkdir(parents=True, exist_ok=True)
             write_json(folder / LIST, content, named=False)
-        for name in (*sorted(made), LIST):
+        for name in made:
             os.replace(partial / name, folder / name)
-
-
-def _stamp(path: Path) -> list[int]:
-    """Size and time of the last change of a file, in ns."""
-    status = path.lstat()
-    return [status.st_size, status.st_mtime_ns]
-
-
-def are_kept(folder: Path, command: str, made_from: str) -> bool:
-    """Whether a folder holds all files that a command has made from the same content, and nobody has changed them.
-
-    made_from : hash of all that they are made from
-    """
-    content = read_list(folder)
-    if content.get(MADE_FROM) != {command: made_from}:
-        return False
-    return all(os.path.lexists(folder / name) and _stamp(folder / name) == stamp for name, stamp in content["written"].items())
-
-
-def write_made_from(folder: Path, command: str, made_from: str, said: dict[str, list[Any]] | None = None) -> None:
-    """State in the list of files that a command has just published what they were made from, for `are_kept`.
-
-    said : what the command said of them
-    """
-    stated = {MADE_FROM: {command: made_from}} | ({SAID: said} if said else {})
-    write_json(folder / LIST, read_list(folder) | {"versions": versions()} | stated, named=False)
 
 
 def write_new(path: Path, text: str) -> None:

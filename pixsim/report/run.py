@@ -18,7 +18,6 @@ from pixsim.base.tables import plain
 from pixsim.base.toml import SETTINGS_FILE
 from pixsim.light.exr import reduced_to_fit, write_channels, write_exr
 from pixsim.optics.lens_defocus import depth_of_field_m, finite_or_none
-from pixsim.report.kept import digest_of_content
 from pixsim.report.neq import NEQ, neq_against_frequency
 from pixsim.report.noise_budget import NAME, budgets_section
 from pixsim.report.pictures import crops, picture_axes, size_words, whole_picture
@@ -64,7 +63,7 @@ from pixsim.show.presenter import PageOptions, Presenter
 from pixsim.show.render import PAGE
 from pixsim.studies.files import scene_table, settings_text
 from pixsim.studies.merit import detail_terms, extent, quanta_of_run
-from pixsim.studies.run import LitRun, RunResult, Threshold
+from pixsim.studies.run import RunResult, Threshold
 from pixsim.studies.table import ROWS_FILE, Store
 from pixsim.viewer.causes import SATURATED_SHOWN
 from pixsim.viewer.dark_clip import clip_note, clips_dark
@@ -563,16 +562,6 @@ def run_settings_text(prepared: Job[Run], irradiance: SpectralImage) -> str:
     command = ["pixsim", "run", whole_source(prepared), "--config", SETTINGS_FILE, *["--full"] * imaging.full]
     command += [word for name, value in given.items() if value for word in (f"--{name}", value)]
     return settings_text(repeating_settings(prepared, irradiance), shlex.join(command))
-
-
-def digest_of_run(lit: LitRun, files: RunFiles = USUAL) -> str:
-    """Hash of everything that the files of a run are made from, but the wall times."""
-    prepared, light = lit.prepared, lit.irradiance
-    film = lit.rendered.film.as_dict() if lit.rendered and lit.rendered.film else None
-    (case,) = prepared.cases
-    assert case.imaging is not None
-    settings = run_settings_text(prepared, light), prepared.settings, prepared.camera, case.imaging.technology
-    return digest_of_content(files, settings, light, film, case.without)
 
 
 def repeating_settings(job: Job[Run], irradiance: SpectralImage) -> Run:

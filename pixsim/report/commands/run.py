@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pixsim.base.files import check_replaceable, output_folder, write_made_from
-from pixsim.base.notes import warn
+from pixsim.base.files import check_replaceable, output_folder
 from pixsim.base.progress import Stage
 from pixsim.report.commands import DEFAULT_OUT
-from pixsim.report.kept import kept_run
 from pixsim.report.outline import outline_document, run_outline
-from pixsim.report.run import Irradiance, RunFiles, digest_of_run, run_document, run_page
+from pixsim.report.run import Irradiance, RunFiles, run_document, run_page
 from pixsim.show.document import Document
-from pixsim.show.render import text, write
+from pixsim.show.render import write
 from pixsim.studies.run import check_raw, light_run, prepare, score_run
 from pixsim.viewer.setting import Run
 
@@ -31,7 +29,7 @@ def run_files(
     seconds: dict[str, float],
     **how: Any,
 ) -> tuple[Document, Path | None]:
-    """Write the files of a run to a folder, unless it holds them. Returns the answer and the page; no page of a dry run.
+    """Write the files of a run to a folder. Returns the answer and the page; no page of a dry run.
 
     out : folder; None means one named by the scene
     formats : of the raw frame, besides EXR
@@ -53,17 +51,6 @@ def run_files(
 
     with output_folder(folder):
         rendered = light_run(prepared, progress)
-        made_from = digest_of_run(rendered, files)
-        if kept := kept_run(folder, made_from):
-            document, warned = kept
-            for note in warned:
-                if note not in rendered.warned:  # the others were given now
-                    warn(note)
-            return document, folder / "report.html"
-
         result = score_run(rendered, progress)
         page = write(run_page(result, files, progress("write")), folder, {"seconds": seconds})
-        document = run_document(result, warned=result.warned)
-        said: dict[str, list[Any]] = {"lines": text(document).splitlines(), "warned": [note.as_dict() for note in result.warned]}
-        write_made_from(folder, "run", made_from, said)
-    return document, page
+    return run_document(result, warned=result.warned), page

@@ -13,7 +13,6 @@ from pixsim.base.notes import collected_notes
 from pixsim.base.progress import Stage
 from pixsim.report.axes import axes_document, axes_files, study_report
 from pixsim.report.commands import DEFAULT_OUT
-from pixsim.report.kept import digest_of_report, keep_or_write
 from pixsim.report.outline import outline_document, study_outline
 from pixsim.report.study import report_files, study_document, study_drawing
 from pixsim.report.uncertainty import uncertainty_files
@@ -100,11 +99,7 @@ def study_files(
             first = result.cases[0]
             workers = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()
             regrets = condition_regrets(result.study, result.curves)
-
-            def write_report() -> Path:
-                return write(study_report(result, regrets, workers, drawing), folder, {"seconds": seconds}, figures)
-
-            page = keep_or_write("study", digest_of_report(result, figures), folder, write_report)
+            page = write(study_report(result, regrets, workers, drawing), folder, {"seconds": seconds}, figures)
         warned = set(result.warned)  # they are on stderr
         if isinstance(result, CasesResult):
             say(str(result.counts))
