@@ -299,7 +299,7 @@ def check_replaceable(folder: str | os.PathLike[str], names: Iterable[str]) -> N
     if others:
         more = f" and {len(others) - SHOWN_FILES} more" if len(others) > SHOWN_FILES else ""
         shown_names = ", ".join(sorted(others)[:SHOWN_FILES]) + more
-        got = f"'{folder}', which holds {shown_names}, not written by pixsim"
+        got = f"'{folder}', which holds {shown_names}, not written by this command"
         raise invalid("output folder", got, "a folder without them", "Choose another with --out, or move these files away.")
 
 
@@ -329,6 +329,14 @@ def publishing(folder: Path, provenance: Mapping[str, Any] | None = None) -> Ite
             write_json(folder / LIST, content, named=False)
         for name in made:
             os.replace(partial / name, folder / name)
+
+
+def take_off_list(path: Path) -> None:
+    """Take a file off the list of its folder, so that only the command that appends to it replaces it."""
+    content = read_list(path.parent)
+    if path.name in content.get("files", ()):
+        files = [name for name in content["files"] if name != path.name]
+        write_json(path.parent / LIST, content | {"files": files}, named=False)
 
 
 def write_new(path: Path, text: str) -> None:

@@ -72,7 +72,7 @@ def test_files_of_a_folder_of_release_1_1_are_replaced(tmp_path: Path) -> None:
     publish(tmp_path, a="new")
     assert contents(tmp_path)["a.txt"] == "new"
     (tmp_path / "b.txt").write_text("mine")
-    with pytest.raises(PixsimError, match=r"holds b\.txt, not written by pixsim"):
+    with pytest.raises(PixsimError, match=r"holds b\.txt, not written by this command"):
         publish(tmp_path, b="new")
 
 

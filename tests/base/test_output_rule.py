@@ -174,7 +174,7 @@ def test_publishing_never_goes_through_a_link_in_the_folder(linked: str, theirs:
         publish(tmp_path / "out")
     assert (contents(theirs), link.is_symlink()) == ({"a.csv": "mine"}, True)
     if linked != LOCK:
-        with pytest.raises(PixsimError, match=f"which holds .*{linked}.*, not written by pixsim"):
+        with pytest.raises(PixsimError, match=f"which holds .*{linked}.*, not written by this command"):
             check_replaceable(tmp_path / "out", ["figures/a.csv"])  # before anything is computed
 
 

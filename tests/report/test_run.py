@@ -276,7 +276,7 @@ def test_command_other_file_of_the_same_name_raises(rendered, line, name, tmp_pa
     two_sheets(tmp_path)
     before = sorted(tmp_path.rglob("*"))
     line = line.format(exr=rendered[0] / "irradiance.exr", here=tmp_path)
-    assert_refused(*command(f"{line} --out {tmp_path}"), [path.name, "not written by pixsim", "--out"])
+    assert_refused(*command(f"{line} --out {tmp_path}"), [path.name, "not written by", "--out"])
     assert path.read_text() == "my own"
     assert sorted(tmp_path.rglob("*")) == before
 

@@ -16,6 +16,7 @@ from helpers.tiny import TINY, rows, tiny
 import pixsim
 from pixsim.base.errors import PixsimError
 from pixsim.base.files import LIST
+from pixsim.studies.table import ROWS_FILE
 
 SMALL: dict[str, Any] = {"resolution": 48, "display": {"dots": 48}, "repeats": 3}
 
@@ -40,6 +41,20 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def test_a_run_writes_the_row_of_each_sensor(folders: dict[str, Path]) -> None:
     score = json.loads((folders["quiet"] / "score.json").read_text(encoding="utf-8"))
     assert [float(row["mean_delta_e"]) for row in rows(folders["quiet"])] == score["delta_e"]
+
+
+def test_a_run_does_not_replace_the_rows_of_a_study(tmp_path: Path) -> None:
+    """Nor where the folder's list has results.csv of an earlier run; a run replaces its own rows."""
+    run = pixsim.run("csf", pixel={"pitch_um": 20.0}, camera={"die_mm": 1.28}, **SMALL)
+    for _ in range(2):
+        run.write(tmp_path)
+    of_run = (tmp_path / ROWS_FILE).read_bytes()
+    study = pixsim.study(tiny(), tmp_path, jobs=1)
+    study.write(tmp_path)
+    of_study = (tmp_path / ROWS_FILE).read_bytes()
+    with pytest.raises(PixsimError, match=r"holds results\.csv, not written by this command"):
+        run.write(tmp_path)
+    assert ((tmp_path / ROWS_FILE).read_bytes(), (tmp_path / f"{ROWS_FILE}.old").read_bytes()) == (of_study, of_run)
 
 
 def test_runs_of_one_light_are_paired_frame_by_frame(folders: dict[str, Path]) -> None:
