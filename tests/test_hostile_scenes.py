@@ -332,7 +332,7 @@ def assets(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_channels(folder / "sky.exr", {name: np.ones((4, 8), np.float32) for name in "RGB"}, {})
     (folder / "a.ply").write_bytes(PLY)
     (folder / "a.serialized").write_bytes(SERIALIZED)
-    (folder / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvn 0 0 1\nf 1/1/1 2/1/1 3//1\n")
+    (folder / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvn 0 0 1\nf 1/1/1 2/1/1 3/1/1\n")
     (folder / "a.vol").write_bytes(VOLUME)
     (folder / "a.spd").write_text("# nm, value\n400 0.2\n700 0.4\n")
     return folder
@@ -479,12 +479,14 @@ def serialized(corners: list[int], vertices: int = 3, faces: int = 1, version: i
     return struct.pack("<HH", 0x041C, version) + zlib.compress(body) + struct.pack("<QI" if version == 4 else "<II", 0, 1)
 
 
-OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvn 0 0 1\n"
+POINTS = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+OBJ = POINTS + "vt 0 0\nvn 0 0 1\n"
 GOOD_MESHES = {
     "ascii.ply": ply(), "crlf.ply": ply().replace(b"\n", b"\r\n"), "unsigned.ply": ply(of="list uchar uint vertex_index"),
     "edges.ply": ply("3 0 1 2\n3 1 2 3\n0 1\n", more="element edge 1\nproperty int a\nproperty int b\n"),
     "little.ply": PLY, "v3.serialized": serialized([0, 1, 2], version=3), "v4.serialized": serialized([0, 1, 2]),
-    "a.obj": (OBJ + "f 1 2 3\nf 1/1 2/1 3/1\nf 1//1 2//1 3//1\nf 1/1/1 2/1/1 3/1/1").encode(),
+    "a.obj": (OBJ + "f 1/1/1 2/1/1 3/1/1\r\n f 1/1/1\t2/1/1 3/1/1 ").encode(), "uv.obj": (POINTS + "vt 0 0\nf 1/1 2/1/ 3/1").encode(),
+    "normals.obj": (POINTS + "vn 0 0 1\nf 1//1 2//1 3//1\n").encode(), "plain.obj": (POINTS + "f 1 2// 3/\n").encode(),
 }  # fmt: skip
 BAD_MESHES = {
     "beyond.ply": (ply("3 0 1 2\n3 1 2 4\n"), "corner 4"), "quads.ply": (ply("4 0 1 3 2 0\n3 1 2\n"), "trailing tokens"),
@@ -501,8 +503,11 @@ BAD_MESHES = {
     "old.serialized": (serialized([0, 1, 2], version=2), "incompatible file version"),
     "no.serialized": (b"\0" * 99, "invalid file"),
     "beyond.obj": ((OBJ + "f 1 2 4\n").encode(), "invalid vertex 4"), "uv.obj": ((OBJ + "f 1/1 2/2 3/1\n").encode(), "texture"),
-    "normal.obj": ((OBJ + "f 1//1 2//2 3//1\n").encode(), "normal 2"),
+    "normal.obj": ((OBJ + "f 1/1/1 2/1/2 3/1/1\n").encode(), "normal 2"),
     "negative.obj": ((OBJ + "f -1 -2 -3\n").encode(), "invalid vertex"),
+    "part uv.obj": ((OBJ + "f 1/1/1 2/1/1 3/1/1\nf 1/1/1 2//1 3/1/1").encode(), "without texture coordinates in line 7, beside others"),
+    "part normals.obj": ((OBJ + "f 1/1/1 2/1/1 3/1\n").encode(), "without normals in line 6"),
+    "no corners with uv.obj": ((POINTS + "vt 0 0\n\tf 1 2 3\n").encode(), "without texture coordinates in line 5"),
     "long.obj": ((OBJ + "f" + " 1 2 3" * 999).encode(), "long line"),
 }  # fmt: skip
 

@@ -67,9 +67,12 @@ def find_lamps(state: Tree, variant: str) -> list[Lamp]:
             key, scale, picture = emission
             # Pictures cannot be scaled, so emitters with pictures share a group only at the same power.
             groups.setdefault((key, None if picture is None else scale), []).append((index, name, scale, picture))
-    for key, scale in list(groups):
-        if scale is None and (host := next((other for other in groups if other[0] == key and other[1] is not None), None)):
-            groups[host] += groups.pop((key, None))  # emitters without a picture may have any power
+    hosts: dict[tuple[Any, ...], tuple[Any, ...]] = {}  # spectrum -> the first group with pictures
+    for key, scale in groups:
+        if scale is not None:
+            hosts.setdefault(key, (key, scale))
+    for key, host in hosts.items():
+        groups[host] += groups.pop((key, None), [])  # emitters without a picture may have any power
     lamps = []
     for (key, scale), parts in groups.items():
         first = max(power for _, _, power, _ in parts) if scale is None else scale

@@ -24,6 +24,12 @@ from pixsim.scene.variants.graphics import CUDA
 QUOTED = re.compile(r'"([^"]*)"')
 LEAST_BYTES = 4 << 30
 BYTES_PER_BYTE = 16  # of a file: a compressed half is a float of a picture and of its copies; a face is part of a tree
+# A corner of an OBJ's face that names no texture coordinates, or no normal.
+CORNER = rb"(?m)^[ \t]*f[ \t](?:.*[ \t])?-?\d+%b(?=\s|\Z)"
+UNSET_OF_OBJ = (
+    ("texture coordinates", re.compile(rb"(?m)^[ \t]*vt[ \t]"), re.compile(CORNER % rb"(?:/(?:/-?\d*)?)?")),
+    ("normals", re.compile(rb"(?m)^[ \t]*vn[ \t]"), re.compile(CORNER % rb"(?:/-?\d*/?)?")),
+)
 
 
 def limit_memory(job: TraceJob) -> None:
@@ -97,8 +103,21 @@ def _check_mesh(mi: ModuleType, file: AssetFile) -> None:
         raise invalid(what, f"{vertices} vertices, {corners.size // 3} faces", "at least one of each")
     if corners.max() >= vertices:
         raise invalid(what, f"corner {corners.max()}", f"whole numbers from 0 to {vertices - 1}, of its vertices")
-    # Of corners without texture coordinates Mitsuba leaves those of an OBJ as the memory was.
-    unset = {"vertex_texcoords"} if file.plugin == "obj" else set()
-    for name in sorted(arrays.keys() - unset):
+    if file.plugin == "obj":
+        _check_obj(Path(file.path), what)
+    for name in sorted(arrays.keys()):
         if name.startswith(("vertex_", "face_")) and not np.isfinite(np.array(arrays[name])).all():
             raise invalid(what, f"{name} that are NaN or infinite", "finite numbers")
+
+
+def _check_obj(path: Path, what: str) -> None:
+    """Raise PixsimError if some corners of faces name texture coordinates or normals and others do not.
+
+    Mitsuba leaves those of the others as the memory was, so that a render would not repeat.
+    """
+    content = path.read_bytes()
+    for name, declaration, corner in UNSET_OF_OBJ:
+        if declaration.search(content) and (face := corner.search(content)):
+            line = content.count(b"\n", 0, face.start()) + 1
+            hint = f"Export it again with {name} for all of it, or for none."
+            raise invalid(what, f"a face without {name} in line {line}, beside others", f"{name} at all faces, or at none", hint)
