@@ -20,7 +20,7 @@ from pixsim.base.files import judge_picture, opened, reason
 from pixsim.light.exr import read_channels, read_header
 from pixsim.scene.charts import texture_file
 from pixsim.scene.textures import inspect_radiance
-from pixsim.sensor.raw import page_count, pages_text
+from pixsim.sensor.raw import has_pages, pages_text
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".hdr", ".exr")
 LINEAR_SUFFIXES = (".hdr", ".exr")  # these formats hold light
@@ -155,8 +155,8 @@ def _decoded(path: Path, texts: list[str]) -> Array:
 
     with warnings.catch_warnings(action="ignore"), opened(path, "chart picture", ALLOWED) as file, Image.open(file) as image:
         mode = image.mode
-        if (pages := page_count(image, file)) > 1:
-            texts.append(pages_text(path, pages))
+        if has_pages(image):
+            texts.append(pages_text(path))
         if mode in ALPHA_MODES or "transparency" in image.info:
             low = image.convert("RGBA").getchannel("A").getextrema()[0]
             if not isinstance(low, int | float) or low < 255:

@@ -12,8 +12,6 @@ format stores the metadata as follows:
 
 The saturated pixels of a burst are an array of an npz, and a text in the other formats: their bits, row by row, compressed by zlib,
 in Base64.
-
-Of a DNG in a TIFF the linearisation table is applied, and what lies outside of the active area is left out.
 """
 
 from __future__ import annotations
@@ -23,14 +21,13 @@ import itertools
 import json
 import math
 import os
-import struct
 import sys
 import warnings
 import zlib
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +35,7 @@ from numpy.typing import NDArray
 from pixsim.base.arrays import Array, ArrayHeader, NotNegativeArray, first_where, read_array, read_arrays
 from pixsim.base.bounds import NotNegative, Positive
 from pixsim.base.errors import PixsimError, invalid, names_in
-from pixsim.base.files import MAX_PICTURE, check_compression, judge_picture, opened, reason, size_of
+from pixsim.base.files import MAX_PICTURE, judge_picture, opened, reason, size_of
 from pixsim.base.notes import Note, warn
 from pixsim.light.exr import read_channels, shortest, write_channels, writing
 from pixsim.sensor.colour import ROW_MARK, Layout
@@ -56,8 +53,7 @@ BITS_OF_PICTURES = 16  # of TIFF and PNG, as others read them
 MAX_BITS = 32
 BITS_OF = dict.fromkeys((".tiff", ".tif", ".png"), BITS_OF_PICTURES) | {".exr": 24}  # which float32 holds exactly
 BLACK_LEVEL_TAG, WHITE_LEVEL_TAG, DESCRIPTION_TAG = 50714, 50717, 270
-# Of DNG 1.7: codes to linear values, rows and columns of the cell of black levels, what columns and rows add, and the active area.
-LINEARIZATION_TAG, BLACK_DIM_TAG, BLACK_COLUMNS_TAG, BLACK_ROWS_TAG, ACTIVE_AREA_TAG = 50712, 50713, 50715, 50716, 50829
+BLACK_DIM_TAG = 50713  # of DNG 1.7: rows and columns of the cell of black levels
 MAX_CELL = 16  # rows or columns of a cell of black levels
 
 
@@ -379,51 +375,32 @@ def _without_alpha(picture: NDArray[Any]) -> NDArray[Any]:
 
 
 def _read_image(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dict[str, Any]]:
-    decoded = _decoded(path, name, expected)
-    if decoded.pages > 1:
-        warn(Note("file_as_read", words=pages_text(path, decoded.pages)))
-    samples, of_tags = _described(path, decoded.samples, decoded.tags)
-    return samples, decoded.metadata | of_tags
-
-
-class Decoded(NamedTuple):
-    """The first picture of a TIFF or PNG.
-
-    samples : (rows, columns) or (rows, columns, 3), as stored
-    tags : of a TIFF
-    pages : how many pictures the file has
-    metadata : what a PNG states, and the encoding for displays of both
-    """
-
-    samples: NDArray[Any]
-    tags: Mapping[int, Any]
-    pages: int
-    metadata: dict[str, Any]
-
-
-def _decoded(path: Path, name: str, expected: str) -> Decoded:
-    """Decode a TIFF or PNG, without Pillow's warnings."""
+    """Return the first picture of a TIFF or PNG, as stored, and what its tags or texts state."""
     from PIL import Image
 
     try:
         judge_picture(path)
-    except PixsimError:
-        if path.suffix.lower() != ".png" and (found := _read_other_tiff(path, name, expected)) is not None:
-            return found
-        raise
+    except PixsimError as error:
+        hint = "Save it as grey or RGB of 16 bits or as grey in floating point, or its array as .npz or .exr."
+        raise PixsimError(f"{error}. It is damaged, or of a kind that Pillow does not read. {hint}") from None
+
     # Pillow warns of oddities in files that it can read.
     with warnings.catch_warnings(action="ignore"), opened(path, name, expected) as file, Image.open(file) as image:
         is_deep_colour = image.mode in ("RGB", "RGBA") and ";16" in str(image.tile)
         tags = getattr(image, "tag_v2", {})
-        if tags.get(PLANAR, 1) == 2 and (found := _read_other_tiff(path, name, expected)) is not None:
-            return found
+        if tags.get(PLANAR, 1) == 2 and len(image.getbands()) > 1:
+            raise invalid(f"{name} '{path}'", "a plane for each colour", "the colours of a pixel side by side")
         if image.mode not in ("I;16", "I;16B", "I;16L", "I", "F") and not is_deep_colour:
             hint = "Images of 8 bits are encoded for a display: write the raw digital numbers, linear in light."
             if ";16" in str(image.tile):
                 hint = "Save it without its alpha channel."
-            raise invalid(f"{name} '{path}'", f"a picture of mode {image.mode}", "grey or RGB, of 16 bits, or float", hint)
+            raise invalid(f"{name} '{path}'", f"a picture of mode {image.mode}", "grey or RGB, of 16 bits, or grey float", hint)
         if is_deep_colour and 3 * image.width * image.height > MAX_PICTURE:
             raise invalid(f"{name} '{path}'", f"3 × {image.width} × {image.height} samples", f"up to {MAX_PICTURE} in all")
+        if tags.get(PHOTOMETRIC) == WHITE_IS_ZERO:
+            hint = "Save it with 0 for black (BlackIsZero)."
+            raise invalid(f"{name} '{path}'", "values whose 0 is white (WhiteIsZero)", "values that grow with the light", hint)
+
         tiles = list(image.tile)  # before the texts of a PNG, for which Pillow reads all of it
         metadata: dict[str, Any] = dict(getattr(image, "text", {}))
         encoded = [word for word in ("srgb", "gamma", "icc_profile") if word in image.info]
@@ -432,111 +409,42 @@ def _decoded(path: Path, name: str, expected: str) -> Decoded:
         if np.ptp(np.diff(np.asarray(tags.get(TRANSFER_FUNCTION, [0, 0]), float))) > 1:  # of a line, steps differ by rounding
             metadata[ENCODING] = "TransferFunction"
         samples = np.asarray(image)
-        pages = page_count(image, file)
+        several = has_pages(image)
     if is_deep_colour:
         with warnings.catch_warnings(action="ignore"), opened(path, name, expected) as file, Image.open(file) as image:
             # Pillow keeps the upper byte of each sample of RGB; in the other order of bytes that is the lower one.
             image.tile = [tile._replace(args=_other_order(tile.args)) for tile in tiles]
             samples = (samples.astype(np.uint16) << 8 | np.asarray(image))[..., :3]
-    return Decoded(samples, tags, pages, metadata)
+    if several:
+        warn(Note("file_as_read", words=pages_text(path)))
+    return samples, metadata | _metadata_of_tags(path, tags)
 
 
-BIG_TIFF, SUBFILE_TAG = 43, 254  # second number of its head, and NewSubfileType
-REDUCED, MASK = 1, 4  # its bits of a thumbnail and of a transparency mask
-MAX_PAGES = 10_000  # that are counted
+PHOTOMETRIC, PLANAR, TRANSFER_FUNCTION = 262, 284, 301  # tags of TIFF 6.0
+WHITE_IS_ZERO = 0  # a photometric interpretation
 
 
-def pages_text(path: Path, pages: int) -> str:
+def pages_text(path: Path) -> str:
     """Return what is said of a file of several pictures."""
-    return f"'{path}' has {pages} pages: the first is read. Save the others as files of their own to read them"
+    return f"'{path}' has several pages: the first is read. Save the others as files of their own to read them"
 
 
-def page_count(image: Image, file: IO[bytes]) -> int:
-    """Return how many pictures a TIFF or PNG has that Pillow opened; 1 of others, as of a JPEG with a preview."""
+def has_pages(image: Image) -> bool:
+    """Return whether a TIFF or PNG that Pillow opened has several pictures; a JPEG with a preview has not."""
     if image.format == "TIFF":
-        return tiff_pages(file)
-    return getattr(image, "n_frames", 1) if image.format == "PNG" else 1
+        return bool(getattr(image, "tag_v2", None) and image.tag_v2.next)  # type: ignore[attr-defined]
+    return image.format == "PNG" and getattr(image, "is_animated", False)
 
 
-def tiff_pages(file: IO[bytes]) -> int:
-    """Return the pages of a TIFF or BigTIFF, up to `MAX_PAGES`, without thumbnails and masks beside the first one."""
-    file.seek(0)
-    head = file.read(16)
-    order = "<" if head[:2] == b"II" else ">"
-    is_big = struct.unpack_from(f"{order}H", head, 2)[0] == BIG_TIFF
-    # An entry is tag, type, count and value; the next directory's offset stands behind the entries.
-    count_format, entry_format, offset_format = ("Q", "HHQI4x", "Q") if is_big else ("H", "HHII", "I")
-    (offset,) = struct.unpack_from(order + offset_format, head, 8 if is_big else 4)
-    seen, pages, stored = set[int](), 0, os.fstat(file.fileno()).st_size
-    while offset and offset not in seen and len(seen) < MAX_PAGES:
-        seen.add(offset)
-        file.seek(offset)
-        count_bytes = file.read(struct.calcsize(order + count_format))
-        if len(count_bytes) < struct.calcsize(order + count_format):
-            break
-        (count,) = struct.unpack(order + count_format, count_bytes)
-        size = count * struct.calcsize(order + entry_format)
-        if offset + size > stored:
-            break
-        entries = file.read(size)
-        kinds = {tag: value for tag, _, _, value in struct.iter_unpack(order + entry_format, entries)}
-        pages += not (pages and kinds.get(SUBFILE_TAG, 0) & (REDUCED | MASK))
-        link = file.read(struct.calcsize(order + offset_format))
-        if len(link) < struct.calcsize(order + offset_format):
-            break
-        (offset,) = struct.unpack(order + offset_format, link)
-    return pages
-
-
-def _described(path: Path, samples: NDArray[Any], tags: Mapping[int, Any]) -> tuple[NDArray[Any], dict[str, Any]]:
-    """Return what the tags of a TIFF make of its samples, and the metadata that they state.
-
-    The active area of a DNG, by its linearisation table; of other files the samples as they are.
-    """
-    if tags.get(PHOTOMETRIC) == WHITE_IS_ZERO:
-        hint = "Save it with 0 for black (BlackIsZero)."
-        raise invalid(f"picture '{path}'", "values whose 0 is white (WhiteIsZero)", "values that grow with the light", hint)
-    table = np.atleast_1d(np.asarray(tags.get(LINEARIZATION_TAG, [])))
-    if table.size and samples.dtype.kind in "ui":
-        samples = table.astype(np.uint32)[np.clip(samples, 0, table.size - 1)]
-    with suppress(KeyError, TypeError, ValueError):
-        top, left, bottom, right = (int(edge) for edge in tags[ACTIVE_AREA_TAG])
-        is_part = (top, left, bottom, right) != (0, 0, *samples.shape[:2])
-        if is_part and 0 <= top < bottom <= samples.shape[0] and 0 <= left < right <= samples.shape[1]:
-            samples = samples[top:bottom, left:right]
-            area = f"rows {top} to {bottom - 1} and columns {left} to {right - 1}"
-            words = f"'{path}' has its active area in {area}: what is outside, which gets no light, is left out"
-            warn(Note("file_as_read", words=words))
-    metadata = _metadata_of_tags(tags)
-    if BLACK_LEVEL not in metadata and BLACK_LEVEL_TAG in tags:
-        levels = _black_levels_of_tags(tags, samples.shape)
-        if levels is None:
-            values = np.atleast_1d(np.asarray(tags[BLACK_LEVEL_TAG], float))
-            got = f"{values.size} black levels from {values.min():g} to {values.max():g}"
-            words = f"'{path}' states {got}, which fit no cell (BlackLevelRepeatDim) of its pixels: they are not used"
-            warn(Note("file_as_read", words=words))
-        else:
-            metadata[BLACK_LEVEL] = levels if np.ptp(levels) else float(levels[0, 0])
-    return samples, metadata
-
-
-def _black_levels_of_tags(tags: Mapping[int, Any], shape: tuple[int, ...]) -> Array | None:
-    """Return the black levels that the tags of a DNG state, a cell or (rows, columns); None if they do not fit the picture.
-
-    The cell's, with what BlackLevelDeltaH adds to each column, and BlackLevelDeltaV to each row. Of several samples in a pixel
-    there is none.
-    """
-    with suppress(IndexError, TypeError, ValueError):
+def _black_levels_of_tags(tags: Mapping[int, Any]) -> Array | None:
+    """Return the cell of black levels that the tags of a TIFF state, (rows, columns); None if they do not make a cell."""
+    with suppress(TypeError, ValueError):
         values = np.atleast_1d(np.asarray(tags[BLACK_LEVEL_TAG], float))
         if (values == values[0]).all():
-            levels = values[:1, None]
-        else:
-            levels = values.reshape([int(side) for side in tags.get(BLACK_DIM_TAG, (1, 1))])
-        columns, rows = (np.atleast_1d(np.asarray(tags.get(tag, 0.0), float)) for tag in (BLACK_COLUMNS_TAG, BLACK_ROWS_TAG))
-        if columns.any() or rows.any():
-            levels = _tiled(levels, shape) + columns + rows[:, None]
-        is_level = levels.ndim == 2 and (len(shape) == 2 or not np.ptp(levels))
-        return levels if is_level and np.isfinite(levels).all() else None
+            values = values[:1]
+        sides = [int(side) for side in tags.get(BLACK_DIM_TAG, (1, 1))] if values.size > 1 else [1, 1]
+        levels = values.reshape(sides)
+        return levels if np.isfinite(levels).all() else None
     return None
 
 
@@ -552,9 +460,17 @@ def _other_order(arguments: Decoding) -> Decoding:
     return arguments[:-1] + order[arguments[-1]]
 
 
-def _metadata_of_tags(tags: Mapping[int, Any]) -> dict[str, Any]:
+def _metadata_of_tags(path: Path, tags: Mapping[int, Any]) -> dict[str, Any]:
     """Return the items of `FACTS` and the layout that the tags of a TIFF state; pixsim's JSON goes before DNG and TIFF/EP."""
+    stated = _json_of(tags.get(DESCRIPTION_TAG))
     metadata: dict[str, Any] = {}
+    if BLACK_LEVEL_TAG in tags and BLACK_LEVEL not in stated:
+        cell = _black_levels_of_tags(tags)
+        if cell is None:
+            words = f"'{path}' states black levels that fit no cell (BlackLevelRepeatDim) of its pixels: they are not used"
+            warn(Note("file_as_read", words=words))
+        else:
+            metadata[BLACK_LEVEL] = cell if cell.size > 1 else float(cell[0, 0])
     white = np.atleast_1d(np.asarray(tags.get(WHITE_LEVEL_TAG, []), float))
     if white.size:
         metadata["white_level_dn"] = float(white.min())  # DNG has one for each sample of a pixel
@@ -563,76 +479,7 @@ def _metadata_of_tags(tags: Mapping[int, Any]) -> dict[str, Any]:
         letters = "".join(CFA_COLOURS[code] for code in tags[CFA_PATTERN_TAG])
         if len(letters) == rows * columns:
             metadata[LAYOUT] = ROW_MARK.join(letters[row * columns : (row + 1) * columns] for row in range(rows))
-    return metadata | _json_of(tags.get(DESCRIPTION_TAG))
-
-
-# Of TIFF 6.0: tags, and the kinds of samples by format (1 unsigned, 2 signed, 3 floating point).
-WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, OFFSETS, COUNT, STRIP_ROWS, SIZES = 256, 257, 258, 259, 262, 273, 277, 278, 279
-PLANAR, TRANSFER_FUNCTION, PREDICTOR, SAMPLE_FORMAT = 284, 301, 317, 339
-KINDS = {1: "u", 2: "i", 3: "f"}
-NO_COMPRESSION, DEFLATE = 1, (8, 32946)
-WHITE_IS_ZERO = 0  # a photometric interpretation
-PHOTOMETRICS = {1: "grey", 2: "RGB", 32803: "a mosaic of colours", 34892: "linear raw"}
-
-
-def _read_other_tiff(path: Path, name: str, expected: str) -> Decoded | None:
-    """Read a TIFF in strips that Pillow does not open, as a mosaic of TIFF/EP or RGB in floating point; None if it is no TIFF."""
-    from PIL.TiffImagePlugin import ImageFileDirectory_v2
-
-    with warnings.catch_warnings(action="ignore"), opened(path, name, expected) as file:
-        if (head := file.read(8))[:4] not in (b"II*\0", b"MM\0*"):
-            return None
-        try:
-            tags, stored = ImageFileDirectory_v2(head), os.fstat(file.fileno()).st_size
-            file.seek(tags.next)
-            (entries,) = struct.unpack("<H" if head[:2] == b"II" else ">H", file.read(2))
-            if tags.next + 2 + 12 * entries > stored:
-                return None
-            file.seek(tags.next)
-            tags.load(file)
-            width, height, count = int(tags[WIDTH]), int(tags[HEIGHT]), int(tags.get(COUNT, 1))
-            offsets, sizes = tags[OFFSETS], tags[SIZES]
-            rows = min(int(tags.get(STRIP_ROWS, height)), height)
-        except Exception:  # a damaged directory, or tiles
-            return None
-        kinds = set(tags.get(SAMPLE_FORMAT, (1,)))
-        bits = set(tags.get(BITS, (1,)))
-        planar, compression = tags.get(PLANAR, 1) == 2, tags.get(COMPRESSION, 1)
-        got = ""
-        if tags.get(PHOTOMETRIC) not in PHOTOMETRICS:
-            got = f"a picture of photometric interpretation {tags.get(PHOTOMETRIC)}"
-        elif (
-            len(bits) != 1 or len(kinds) != 1 or not kinds <= set(KINDS) or not bits <= ({16, 32, 64} if kinds == {3} else {16, 32})
-        ):
-            got = f"samples of {', '.join(map(str, sorted(bits)))} bits"
-        elif compression not in (NO_COMPRESSION, *DEFLATE) or tags.get(PREDICTOR, 1) != 1:
-            got = f"compression {compression} with predictor {tags.get(PREDICTOR, 1)}"
-        elif not 1 <= count <= 4 or count == 2:
-            got = f"{count} samples a pixel"
-        if got:
-            hint = "Save it uncompressed, as grey or RGB of 16 bits or in floating point."
-            raise invalid(f"{name} '{path}'", got, "grey, RGB or a mosaic, of 16 or 32 bits or float, in strips", hint)
-        if not (width >= 1 and height >= 1 and rows >= 1 and width * height * count <= MAX_PICTURE):
-            raise invalid(f"{name} '{path}'", f"{count} × {width} × {height} samples", f"1 to {MAX_PICTURE} in all")
-        kind = np.dtype(f"{'<' if head[:2] == b'II' else '>'}{KINDS[kinds.pop()]}{bits.pop() // 8}")
-        planes, each = (count, 1) if planar else (1, count)
-        strips = -(-height // rows)
-        if len(offsets) != planes * strips or len(sizes) != planes * strips:
-            return None
-        check_compression(f"{name} '{path}'", width * height * count * kind.itemsize, stored)
-        data = np.empty((planes, height, width, each), kind)
-        for number, (offset, size) in enumerate(zip(offsets, sizes, strict=True)):
-            if offset + size > stored:
-                raise invalid(f"{name} '{path}'", "a truncated file", expected)
-            file.seek(offset)
-            part = data[number // strips, number % strips * rows :][:rows]
-            block = file.read(size)
-            if compression in DEFLATE:
-                block = zlib.decompressobj().decompress(block, part.nbytes)
-            part[:] = np.frombuffer(block, kind, part.size).reshape(part.shape)
-        whole = data[0] if not planar else np.moveaxis(data[..., 0], 0, 2)
-        samples = whole[..., 0] if count == 1 else whole[..., :3]
-        return Decoded(samples.astype(kind.newbyteorder("=")), tags, tiff_pages(file), {})
+    return metadata | stated
 
 
 def _json_of(text: object) -> dict[str, Any]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shlex
 import struct
-import warnings
 import zlib
 from pathlib import Path
 
@@ -14,7 +13,6 @@ import pytest
 from helpers.tiff import tiff
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
-from PIL.TiffImagePlugin import AppendingTiffWriter, ImageFileDirectory_v2
 
 import pixsim
 from pixsim import cli
@@ -213,32 +211,13 @@ def test_tiff_states_its_mosaic_as_other_programs_do(tmp_path, layout, size, pat
     assert str(pixsim.read_frame(tmp_path / "raw.tiff").layout) == layout
 
 
-@pytest.mark.parametrize("deflate", [False, True])
-@pytest.mark.parametrize("kind", ["<u2", "<u4"])
-def test_mosaic_of_tiff_ep_is_read(kind: str, deflate: bool, tmp_path: Path) -> None:
-    """Photometric interpretation 32803, which Pillow does not open."""
-    values = np.arange(8 * 6).reshape(8, 6, 1).astype(kind)
-    tiff(tmp_path / "raw.tif", values, 32803, deflate=deflate, t33421=(3, [2, 2]), t33422=(1, [1, 2, 0, 1]), t50714=(3, [64] * 4))
-    result = pixsim.read_frame(tmp_path / "raw.tif")
-    np.testing.assert_array_equal(result.dn, values[..., 0])
-    assert (str(result.layout), result.black_level_dn) == ("GB/RG", 64.0)
-    whole = (tmp_path / "raw.tif").read_bytes()
-    (directory,) = struct.unpack("<I", whole[4:8])
-    for length in range(0, directory + 12 * 10, 7):  # of fourteen entries
-        (tmp_path / "raw.tif").write_bytes(whole[:length])
-        with pytest.raises(pixsim.PixsimError):
-            pixsim.read_frame(tmp_path / "raw.tif")
-
-
-@pytest.mark.parametrize("planar", [False, True])
-@pytest.mark.parametrize("kind", ["<u2", "<f4", "<f8"])
 @pytest.mark.parametrize("count", [3, 4])
-def test_deep_rgb_is_read_to_the_last_bit(kind: str, planar: bool, count: int, tmp_path: Path) -> None:
-    values = np.random.default_rng(1).uniform(0, 65535, (7, 5, count)).astype(kind)
+def test_deep_rgb_is_read_to_the_last_bit(count: int, tmp_path: Path) -> None:
+    values = np.random.default_rng(1).uniform(0, 65535, (7, 5, count)).astype("<u2")
     extra = {"t338": (3, [2])} if count == 4 else {}
-    tiff(tmp_path / "deep.tif", values, 2, planar=planar, **extra)
-    found, _ = read_picture(tmp_path / "deep.tif", "picture", SUFFIXES, in_colour=True)
-    np.testing.assert_array_equal(found, values[..., :3])
+    tiff(tmp_path / "deep.tif", values, 2, **extra)
+    picture, _ = read_picture(tmp_path / "deep.tif", "picture", SUFFIXES, in_colour=True)
+    np.testing.assert_array_equal(picture, values[..., :3])
     with pytest.raises(pixsim.PixsimError, match="red, green and blue"):
         pixsim.read_frame(tmp_path / "deep.tif")
 
@@ -262,13 +241,12 @@ def test_png_of_16_bits_in_colour_is_read_to_the_last_bit(count: int, tmp_path: 
     assert read_picture(path, "picture", SUFFIXES, in_colour=True)[1][ENCODING] == "srgb"
 
 
-def test_other_tiffs_are_refused_by_their_cause(tmp_path: Path) -> None:
-    tiff(tmp_path / "a.tif", np.zeros((4, 4, 1), "<u2"), 32803, t317=(3, [2]), t259=(3, [34712]))
-    with pytest.raises(pixsim.PixsimError, match=r"compression 34712 with predictor 2.*uncompressed"):
-        pixsim.read_frame(tmp_path / "a.tif")
-    tiff(tmp_path / "a.tif", np.zeros((4, 4, 1), "u1"), 32803)
-    with pytest.raises(pixsim.PixsimError, match="samples of 8 bits"):
-        pixsim.read_frame(tmp_path / "a.tif")
+@pytest.mark.parametrize(("kind", "photometric", "planar"), [("<f4", 2, False), ("<u2", 2, True), ("<u2", 32803, False)])
+def test_other_tiffs_are_refused(kind: str, photometric: int, planar: bool, tmp_path: Path) -> None:
+    values = np.zeros((4, 4, 1 if photometric == 32803 else 3), kind)
+    tiff(tmp_path / "a.tif", values, photometric, planar=planar)
+    with pytest.raises(pixsim.PixsimError, match=r"a\.tif.*(Pillow does not read|a plane for each colour)"):
+        read_picture(tmp_path / "a.tif", "picture", SUFFIXES, in_colour=True)
 
 
 CELL = [[256.0, 257.0], [258.0, 256.0]]
@@ -285,10 +263,9 @@ def edge_codes(shape: tuple[int, int] = (160, 120)) -> np.ndarray:
     return np.rint(light + noise + np.tile(CELL, (shape[0] // 2, shape[1] // 2))).astype("<u2")
 
 
-@pytest.mark.parametrize("photometric", [1, 32803])
-def test_black_levels_of_each_place_of_the_cell_are_used(photometric: int, tmp_path: Path) -> None:
+def test_black_levels_of_each_place_of_the_cell_are_used(tmp_path: Path) -> None:
     """The contrast of every channel is (1000 - 100)/(1000 + 100); with black left in, that of red is 0.46."""
-    tiff(tmp_path / "raw.tif", edge_codes()[..., None], photometric, **MOSAIC, **BLACK)
+    tiff(tmp_path / "raw.tif", edge_codes()[..., None], 1, **MOSAIC, **BLACK)
     levels = pixsim.read_frame(tmp_path / "raw.tif").black_level_dn
     np.testing.assert_array_equal(levels, np.tile(CELL, (80, 60)))
     for channel in "RGB":
@@ -315,23 +292,10 @@ def test_black_levels_without_a_cell_are_not_written(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_tags_of_dng_are_obeyed(tmp_path: Path) -> None:
-    """Codes are linear by the table, then black is that of the cell, of columns and of rows, from the active area's corner on."""
-    values, table = np.arange(8 * 6).reshape(8, 6), (np.arange(40) ** 2).tolist()
-    area = {"t50829": (3, [1, 2, 7, 6]), "t50712": (3, table), "t50715": (3, [0, 1, 2, 3]), "t50716": (3, [0, 0, 5, 0, 0, 0])}
-    tiff(tmp_path / "raw.tif", values[..., None].astype("<u2"), 32803, **MOSAIC, **BLACK, **area)
-    with pytest.warns(UserWarning, match="active area in rows 1 to 6 and columns 2 to 5") as texts:
-        back = pixsim.read_frame(tmp_path / "raw.tif")
-    assert len(texts) == 1
-    np.testing.assert_array_equal(back.dn, np.minimum(values, 39)[1:7, 2:6] ** 2)
-    rows = np.array([0, 0, 5, 0, 0, 0])[:, None]
-    np.testing.assert_array_equal(back.black_level_dn, np.tile(CELL, (3, 2)) + np.arange(4) + rows)
-
-
 @pytest.mark.parametrize("tags", [{"t50714": (3, [1, 2, 3, 4])}, {"t50713": (3, [2, 3]), "t50714": (3, [1, 2, 3, 4])}])
 def test_black_levels_that_fit_no_cell_are_named(tags: dict[str, tuple], tmp_path: Path) -> None:
     tiff(tmp_path / "raw.tif", np.full((8, 6, 1), 9, "<u2"), 1, **tags)
-    with pytest.warns(UserWarning, match="states 4 black levels from 1 to 4, which fit no cell"):
+    with pytest.warns(UserWarning, match="states black levels that fit no cell"):
         assert pixsim.read_frame(tmp_path / "raw.tif").black_level_dn is None
 
 
@@ -355,40 +319,11 @@ PAGES = [Image.fromarray(np.full((8, 6), 100 + number, np.uint16)) for number in
 @pytest.mark.parametrize("options", [{}, {"big_tiff": True}, {"compression": "tiff_adobe_deflate"}])
 def test_pages_of_a_tiff_are_named(options: dict[str, object], tmp_path: Path) -> None:
     PAGES[0].save(tmp_path / "stack.tif", save_all=True, append_images=PAGES[1:], **options)
-    with pytest.warns(UserWarning, match=r"stack\.tif' has 3 pages: the first is read"):
+    with pytest.warns(UserWarning, match=r"stack\.tif' has several pages: the first is read"):
         assert (pixsim.read_frame(tmp_path / "stack.tif").dn == 100).all()
 
 
-def test_pages_of_a_mosaic_and_of_a_png_are_named(tmp_path: Path) -> None:
-    """Of a mosaic, which Pillow does not open, the second directory is a copy of the first one."""
-    tiff(tmp_path / "raw.tif", np.full((8, 6, 1), 9, "<u2"), 32803)
-    whole = bytearray((tmp_path / "raw.tif").read_bytes())
-    (first,) = struct.unpack_from("<I", whole, 4)
-    (entries,) = struct.unpack_from("<H", whole, first)
-    directory = bytes(whole[first : first + 2 + 12 * entries])
-    struct.pack_into("<I", whole, first + len(directory), len(whole))
-    (tmp_path / "raw.tif").write_bytes(bytes(whole) + directory + bytes(4))
-    with pytest.warns(UserWarning, match="has 2 pages"):
-        pixsim.read_frame(tmp_path / "raw.tif")
+def test_pages_of_a_png_are_named(tmp_path: Path) -> None:
     PAGES[0].save(tmp_path / "moving.png", save_all=True, append_images=PAGES[1:])
-    with pytest.warns(UserWarning, match="has 3 pages"):
+    with pytest.warns(UserWarning, match="has several pages"):
         pixsim.read_frame(tmp_path / "moving.png")
-
-
-def test_thumbnail_and_loop_of_directories_are_no_pages(tmp_path: Path) -> None:
-    tags = ImageFileDirectory_v2()
-    tags[254] = 1  # NewSubfileType: a reduced image
-    path = tmp_path / "raw.tif"
-    with AppendingTiffWriter(str(path), True) as file:
-        PAGES[0].save(file, "TIFF")
-        file.newFrame()
-        PAGES[1].save(file, "TIFF", tiffinfo=tags)
-    with warnings.catch_warnings(action="error"):
-        pixsim.read_frame(path)
-    tiff(path, np.full((8, 6, 1), 9, "<u2"), 1)
-    whole = bytearray(path.read_bytes())
-    (first,) = struct.unpack_from("<I", whole, 4)
-    struct.pack_into("<I", whole, first + 2 + 12 * struct.unpack_from("<H", whole, first)[0], first)
-    path.write_bytes(bytes(whole))
-    with warnings.catch_warnings(action="error"):
-        pixsim.read_frame(path)
