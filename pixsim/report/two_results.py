@@ -25,6 +25,7 @@ def results_document(result: ResultsComparison) -> Document:
         "names": list(result.names),
         "verdicts": sentences,
         "differences": [pair_data(pair) for pair in result.differences],
+        "film_delta_e": result.film_delta_e,
         "only_in_one": result.only_in_one,
     }
     return Document(
@@ -79,11 +80,13 @@ def verdicts(result: ResultsComparison) -> list[str]:
         by_metric.setdefault(pair.pairs.metric.name, []).append(pair)
     sentences = []
     for differences in by_metric.values():
-        pairs, signs = differences[0].pairs, [pair.pairs.sign() for pair in differences]
+        pairs = differences[0].pairs
+        film = result.film_error_of(pairs.metric)
+        signs = [pair.pairs.sign(film or 0.0) for pair in differences]
         counts = (signs.count(1), signs.count(-1), signs.count(0))
         first, other, neither = (f"{count} of {len(signs)}" for count in counts)
         places = f"{result.names[0]} is better at {first} places, {result.names[1]} at {other}, neither surely at {neither}"
-        sentences.append(pair_sentence(pairs) if len(signs) == 1 else f"{pairs.metric.words}: {places}")
+        sentences.append(pair_sentence(pairs, film) if len(signs) == 1 else f"{pairs.metric.words}: {places}")
     return sentences
 
 
@@ -95,7 +98,8 @@ def differences_table(result: ResultsComparison) -> DocumentTable:
     rows = []
     for pair in result.differences:
         place = [str(pair.place.get(name, "")) for name in labels]
-        rows.append((*place, pair.pairs.metric.name, *pair_cells(pair.pairs), str(pair.pairs.a.size)))
+        film = result.film_error_of(pair.pairs.metric)
+        rows.append((*place, pair.pairs.metric.name, *pair_cells(pair.pairs, film), str(pair.pairs.a.size)))
     return DocumentTable("differences", head, rows, words=tuple(range(1, len(labels) + 1)))
 
 

@@ -11,7 +11,7 @@ import csv
 import json
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from itertools import product
@@ -71,6 +71,7 @@ class ResultFolder:
     path : of the folder
     kind : "run", "study" or "comparison"
     lights : header of each light, by the case or the sensor that sees it
+    film_delta_e : largest error of a mean ΔE that the film may cause, of all lights; 0 of light that was given, NaN if unknown
     streams : what its random streams begin with
     rows : of results.csv, by the place of each: labels, size of a study's pixels, repeat, and dots where there are several
     """
@@ -78,6 +79,7 @@ class ResultFolder:
     path: Path
     kind: str
     lights: Mapping[str, Mapping[str, Any]] = field(repr=False)
+    film_delta_e: float
     streams: tuple[object, ...]
     rows: Mapping[tuple[object, ...], Mapping[str, float]] = field(repr=False)
 
@@ -110,7 +112,9 @@ def read_folder(path: str | os.PathLike[str]) -> ResultFolder:
     try:
         content = json.loads(read_text(data_file, "results", "JSON", MAX_BYTES))
         check_not_newer(f"'{data_file}'", content.get("schema"))
-        light_and_streams = _light_and_streams(content, kind)
+        lit, streams = _lit_and_streams(content, kind)
+        lights = {name: entry["irradiance"] for name, entry in lit.items()}
+        film_delta_e = _largest_film_error(lit.values())
     except PixsimError:
         raise
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
@@ -120,24 +124,28 @@ def read_folder(path: str | os.PathLike[str]) -> ResultFolder:
     rows = _rows_of(folder / ROWS_FILE, kind)
     if not rows:
         raise invalid("results", f"'{folder / ROWS_FILE}' without rows", allowed)
-    return ResultFolder(folder, kind, *light_and_streams, rows)
+    return ResultFolder(folder, kind, lights, film_delta_e, streams, rows)
 
 
-def _light_and_streams(content: Mapping[str, Any], kind: str) -> tuple[dict[str, Mapping[str, Any]], tuple[object, ...]]:
-    """Return the lights of a result by their names, and its random streams."""
+def _lit_and_streams(content: Mapping[str, Any], kind: str) -> tuple[dict[str, Mapping[str, Any]], tuple[object, ...]]:
+    """Return what of a result states a light and its film, by the name of the light, and its random streams."""
     if kind == "run":
-        return {"": content["irradiance"]}, ("evaluate", content["seed"])
+        return {"": content}, ("evaluate", content["seed"])
     if kind == "comparison":
-        sensors = content.get("sensors", {})
-        return {name: sensor["irradiance"] for name, sensor in sensors.items()}, ("compare", content.get("seed"))
+        return dict(content.get("sensors", {})), ("compare", content.get("seed"))
     study = content["study"]
-    cases = content.get("cases", [])
-    lights = {
-        json.dumps([case["at"], case.get("condition")], sort_keys=True): case["irradiance"]
-        for case in cases
+    cases = {
+        json.dumps([case["at"], case.get("condition")], sort_keys=True): case
+        for case in content.get("cases", [])
         if "irradiance" in case
     }
-    return lights or {"": content["irradiance"]}, (study.get("streams") or study["name"], study.get("seed", 0))
+    return cases or {"": content}, (study.get("streams") or study["name"], study.get("seed", 0))
+
+
+def _largest_film_error(entries: Iterable[Mapping[str, Any]]) -> float:
+    """Return the largest error of a mean ΔE by the film; 0 if no light was rendered, NaN if one is unknown."""
+    errors = [film["delta_e"] for entry in entries if (film := entry.get("film"))]
+    return math.nan if None in errors else max(errors, default=0.0)
 
 
 def _rows_of(path: Path, kind: str) -> dict[tuple[object, ...], dict[str, float]]:
@@ -195,6 +203,16 @@ class ResultsComparison(Result):
     def names(self) -> tuple[str, str]:
         """Names of the folders."""
         return names_of(self.a, self.b)
+
+    @property
+    def film_delta_e(self) -> float | None:
+        """Largest error of a difference of mean ΔE that the film may cause, the sum of both results'; None if it is unknown."""
+        error = self.a.film_delta_e + self.b.film_delta_e
+        return None if math.isnan(error) else error
+
+    def film_error_of(self, metric: Metric) -> float | None:
+        """Return `film_delta_e` for ΔE, and 0 for other metrics, whose error by the film is not measured."""
+        return self.film_delta_e if metric.is_delta_e else 0.0
 
     def __repr__(self) -> str:
         return f"<ResultsComparison {' and '.join(self.names)}: {len(self.differences)} differences>"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -65,8 +66,19 @@ def test_runs_of_one_light_are_paired_frame_by_frame(folders: dict[str, Path]) -
     assert of_delta_e.pairs.sign() == 1, "the quiet one is better"
     assert result.as_dict()["verdicts"][0].startswith("quiet is better than noisy by ")
     assert result.only_in_one == 0
+    errors = [
+        json.loads((folders[name] / "score.json").read_text(encoding="utf-8"))["film"]["delta_e"] for name in ("quiet", "noisy")
+    ]
+    assert result.film_delta_e == (None if None in errors else sum(errors))
     code, out, _ = command("compare --json", folders["quiet"], folders["noisy"])
     assert (code, json.loads(out)["differences"]) == (0, json.loads(json.dumps(result.as_dict()))["differences"])
+
+
+def test_errors_of_both_films_are_part_of_the_error_of_a_difference(folders: dict[str, Path]) -> None:
+    result = pixsim.compare_results(folders["quiet"], folders["noisy"])
+    wide = replace(result, a=replace(result.a, film_delta_e=100.0), b=replace(result.b, film_delta_e=200.0))
+    assert wide.film_delta_e == 300.0, "the limit of a difference is the sum of both limits"
+    assert wide.as_dict()["verdicts"][0].startswith("quiet and noisy cannot be told apart")
 
 
 def test_comparison_of_two_results_is_written_where_a_folder_is_named(folders: dict[str, Path], tmp_path: Path) -> None:
