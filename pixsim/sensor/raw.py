@@ -378,11 +378,12 @@ def _read_image(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dic
     """Return the first picture of a TIFF or PNG, as stored, and what its tags or texts state."""
     from PIL import Image
 
+    _let_pillow_open_mosaics()
     try:
         judge_picture(path)
     except PixsimError as error:
         hint = "Save it as grey or RGB of 16 bits or as grey in floating point, or its array as .npz or .exr."
-        raise PixsimError(f"{error}. It is damaged, or of a kind that Pillow does not read. {hint}") from None
+        raise PixsimError(f"{error} It is damaged, or of a kind that Pillow does not read. {hint}") from None
 
     # Pillow warns of oddities in files that it can read.
     with warnings.catch_warnings(action="ignore"), opened(path, name, expected) as file, Image.open(file) as image:
@@ -397,6 +398,9 @@ def _read_image(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dic
             raise invalid(f"{name} '{path}'", f"a picture of mode {image.mode}", "grey or RGB, of 16 bits, or grey float", hint)
         if is_deep_colour and 3 * image.width * image.height > MAX_PICTURE:
             raise invalid(f"{name} '{path}'", f"3 × {image.width} × {image.height} samples", f"up to {MAX_PICTURE} in all")
+        if ignored := [tag_name for tag, tag_name in NOT_APPLIED.items() if tag in tags]:
+            hint = "Apply them in a raw converter, and save the array as .npz, .npy or .exr."
+            raise invalid(f"{name} '{path}'", f"the tags {', '.join(ignored)} of DNG", "a picture without them", hint)
         if tags.get(PHOTOMETRIC) == WHITE_IS_ZERO:
             hint = "Save it with 0 for black (BlackIsZero)."
             raise invalid(f"{name} '{path}'", "values whose 0 is white (WhiteIsZero)", "values that grow with the light", hint)
@@ -421,7 +425,17 @@ def _read_image(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dic
 
 
 PHOTOMETRIC, PLANAR, TRANSFER_FUNCTION = 262, 284, 301  # tags of TIFF 6.0
-WHITE_IS_ZERO = 0  # a photometric interpretation
+WHITE_IS_ZERO, BLACK_IS_ZERO, MOSAIC, LINEAR_RAW = 0, 1, 32803, 34892  # photometric interpretations, of TIFF/EP and DNG too
+NOT_APPLIED = {50712: "LinearizationTable", 50715: "BlackLevelDeltaH", 50716: "BlackLevelDeltaV", 50829: "ActiveArea"}  # of DNG
+
+
+def _let_pillow_open_mosaics() -> None:
+    """Have Pillow open mosaics of TIFF/EP and DNG as the grey pictures that they are."""
+    from PIL.TiffImagePlugin import OPEN_INFO
+
+    of_grey = {key: modes for key, modes in OPEN_INFO.items() if key[1] == BLACK_IS_ZERO and key[4] == (16,)}
+    for (order, _, *layout), modes in of_grey.items():
+        OPEN_INFO |= {(order, photometric, *layout): modes for photometric in (MOSAIC, LINEAR_RAW)}
 
 
 def pages_text(path: Path) -> str:

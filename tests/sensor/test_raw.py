@@ -211,6 +211,28 @@ def test_tiff_states_its_mosaic_as_other_programs_do(tmp_path, layout, size, pat
     assert str(pixsim.read_frame(tmp_path / "raw.tiff").layout) == layout
 
 
+@pytest.mark.parametrize("deflate", [False, True])
+def test_mosaic_of_tiff_ep_is_read(deflate: bool, tmp_path: Path) -> None:
+    """Photometric interpretation 32803, with its tags; cut off anywhere, it is refused."""
+    values = np.arange(8 * 6).reshape(8, 6, 1).astype("<u2")
+    tiff(tmp_path / "raw.tif", values, 32803, deflate=deflate, t33421=(3, [2, 2]), t33422=(1, [1, 2, 0, 1]), t50714=(3, [64] * 4))
+    frame = pixsim.read_frame(tmp_path / "raw.tif")
+    np.testing.assert_array_equal(frame.dn, values[..., 0])
+    assert (str(frame.layout), frame.black_level_dn) == ("GB/RG", 64.0)
+    whole = (tmp_path / "raw.tif").read_bytes()
+    (directory,) = struct.unpack("<I", whole[4:8])
+    for length in range(0, directory + 12 * 10, 7):  # of fourteen entries
+        (tmp_path / "raw.tif").write_bytes(whole[:length])
+        with pytest.raises(pixsim.PixsimError):
+            pixsim.read_frame(tmp_path / "raw.tif")
+
+
+def test_tags_of_dng_that_are_not_applied_are_named(tmp_path: Path) -> None:
+    tiff(tmp_path / "raw.tif", np.full((8, 6, 1), 9, "<u2"), 32803, t50829=(3, [1, 2, 7, 6]))
+    with pytest.raises(pixsim.PixsimError, match=r"raw\.tif.*got the tags ActiveArea of DNG"):
+        pixsim.read_frame(tmp_path / "raw.tif")
+
+
 @pytest.mark.parametrize("count", [3, 4])
 def test_deep_rgb_is_read_to_the_last_bit(count: int, tmp_path: Path) -> None:
     values = np.random.default_rng(1).uniform(0, 65535, (7, 5, count)).astype("<u2")
@@ -241,7 +263,7 @@ def test_png_of_16_bits_in_colour_is_read_to_the_last_bit(count: int, tmp_path: 
     assert read_picture(path, "picture", SUFFIXES, in_colour=True)[1][ENCODING] == "srgb"
 
 
-@pytest.mark.parametrize(("kind", "photometric", "planar"), [("<f4", 2, False), ("<u2", 2, True), ("<u2", 32803, False)])
+@pytest.mark.parametrize(("kind", "photometric", "planar"), [("<f4", 2, False), ("<u2", 2, True), ("<u1", 32803, False)])
 def test_other_tiffs_are_refused(kind: str, photometric: int, planar: bool, tmp_path: Path) -> None:
     values = np.zeros((4, 4, 1 if photometric == 32803 else 3), kind)
     tiff(tmp_path / "a.tif", values, photometric, planar=planar)
@@ -263,9 +285,10 @@ def edge_codes(shape: tuple[int, int] = (160, 120)) -> np.ndarray:
     return np.rint(light + noise + np.tile(CELL, (shape[0] // 2, shape[1] // 2))).astype("<u2")
 
 
-def test_black_levels_of_each_place_of_the_cell_are_used(tmp_path: Path) -> None:
+@pytest.mark.parametrize("photometric", [1, 32803])
+def test_black_levels_of_each_place_of_the_cell_are_used(photometric: int, tmp_path: Path) -> None:
     """The contrast of every channel is (1000 - 100)/(1000 + 100); with black left in, that of red is 0.46."""
-    tiff(tmp_path / "raw.tif", edge_codes()[..., None], 1, **MOSAIC, **BLACK)
+    tiff(tmp_path / "raw.tif", edge_codes()[..., None], photometric, **MOSAIC, **BLACK)
     levels = pixsim.read_frame(tmp_path / "raw.tif").black_level_dn
     np.testing.assert_array_equal(levels, np.tile(CELL, (80, 60)))
     for channel in "RGB":
