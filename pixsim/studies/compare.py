@@ -26,7 +26,7 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import output_folder, read_text, version_of_files
 from pixsim.base.layers import listed
 from pixsim.base.notes import Note, collected_notes, warn, without_warnings
-from pixsim.base.progress import Progress, Stage, no_stage
+from pixsim.base.progress import Progress, Stage, no_stage, share_of
 from pixsim.base.result import Result
 from pixsim.base.schema import KEY, check_not_newer
 from pixsim.base.version import VERSION
@@ -402,6 +402,7 @@ def run_prepared(
             workers = stack.enter_context(workers_for(jobs, scheduler))
 
         groups, lights = render_groups(job, stage)
+        by_number = {group.first.group: group for group in groups}
         cases = [case for group in groups for case in group.cases]
         lit = lit_cases(cases, [light for light, _ in lights])
         _check(groups, lit)
@@ -409,20 +410,17 @@ def run_prepared(
         for case, rows in zip(cases, table.by_case(), strict=True):
             for reason in dict.fromkeys(rows.reasons.values()):
                 warn(Note("undefined_metric", words=reason).of(filter(None, [case.sensor, case.condition])))
-        sensors = tuple(
-            compared_sensor(group, one, light, plan)
-            for (group, one), (light, plan) in zip(_with_groups(groups, lit), lights, strict=True)
-        )
-        result = Comparison(job=replace(job, groups=tuple(groups), cases=tuple(cases)), table=table, compared=sensors)
+        measuring = stage("error of the film")
+        sensors = []
+        for number, (case, (light, plan)) in enumerate(zip(lit, lights, strict=True)):
+            progress_of_sensor = share_of(measuring, number / len(lit), (number + 1) / len(lit))
+            sensors.append(compared_sensor(by_number[case.case.group], case, light, plan, progress_of_sensor))
+        measuring(1.0)
+        result = Comparison(job=replace(job, groups=tuple(groups), cases=tuple(cases)), table=table, compared=tuple(sensors))
         if job.types is not None:
             drawn = differences_of_types(job.types, result, lit, files[TYPES_FILE], workers, stage("sensor types"))
             result = replace(result, uncertainty=tuple(drawn))
     return replace(result, warned=tuple(notes))
-
-
-def _with_groups(groups: Sequence[SensorGroup], lit: Sequence[LitCase]) -> list[tuple[SensorGroup, LitCase]]:
-    """Return each case in its light with its group."""
-    return list(zip((group for group in groups for _ in group.cases), lit, strict=True))
 
 
 def _check(groups: Sequence[SensorGroup], lit: Sequence[LitCase]) -> None:
@@ -498,8 +496,11 @@ def lights_on_one_film(group: SensorGroup, stage: Stage) -> list[tuple[Light, Pl
             return lights
 
 
-def compared_sensor(group: SensorGroup, lit: LitCase, light: Light, plan: Plan) -> ComparedSensor:
-    """Return what a comparison knows of a sensor beside its evaluations: its light, first frame and errors of the film."""
+def compared_sensor(group: SensorGroup, lit: LitCase, light: Light, plan: Plan, progress: Progress | None = None) -> ComparedSensor:
+    """Return what a comparison knows of a sensor beside its evaluations: its light, first frame and errors of the film.
+
+    progress : of the measurement of the film's errors
+    """
     case, imaging = lit.case, lit.imaging
     chain = make_chain(imaging.registered(0), lit.light())
     score = chain.simulate(*case.stream, 0)
@@ -509,7 +510,8 @@ def compared_sensor(group: SensorGroup, lit: LitCase, light: Light, plan: Plan) 
     white_e = chain.white_e_per_s * time_s
     with without_warnings():  # the result itself warns
         of_run = Imaging.of(case.settings, case.camera)
-        steps = kept_steps(light.image, of_run, plan.film.chart, group.border_um(case.camera) / BORDER_PIXELS)
+        largest_um = group.border_um(case.camera) / BORDER_PIXELS
+        steps = kept_steps(light.image, of_run, plan.film.chart, largest_um, progress)
     return ComparedSensor(
         case=case,
         light=light,

@@ -18,6 +18,7 @@ from scipy import stats
 
 import pixsim
 from pixsim.base.errors import PixsimError
+from pixsim.base.progress import Progress
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import LENS_HEADER, Tiling, traced_lens
 from pixsim.report.compare import facts, numbers
@@ -44,6 +45,19 @@ def noisy(tmp_path_factory: pytest.TempPathFactory) -> Comparison:
     (folder / "other").mkdir()
     files = [sheet(folder / "a.toml"), sheet(folder / "other/a.toml"), sheet(folder / "noisy.toml", 30.0)]
     return pixsim.compare(files, parameters=DIM, repeats=8, jobs=1, **MEASURED)
+
+
+def test_the_measurement_of_the_films_error_is_a_stage_that_ends(tmp_path: Path) -> None:
+    done: dict[str, list[float]] = {}
+
+    def stage(name: str) -> Progress:
+        return lambda share, *_: done.setdefault(name, []).append(share)
+
+    files = [sheet(tmp_path / "a.toml"), sheet(tmp_path / "noisy.toml", 30.0)]
+    pixsim.compare(files, parameters=DIM, repeats=2, jobs=1, progress=stage, **MEASURED)
+    shares = done["error of the film"]
+    assert shares == sorted(shares)
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
 
 
 # --- cameras ----------------------------------------------------------------------------------------------------------
