@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from pixsim.base.arrays import MEASURED, PARTS, Array, spread_parts, strips
 from pixsim.base.digits import amount, told_apart
-from pixsim.base.mapped import is_mapped, release, zeros
+from pixsim.base.mapped import release, zeros
 from pixsim.base.notes import Note, warn
-from pixsim.base.progress import Progress
+from pixsim.base.progress import Progress, share_of
 from pixsim.base.records import content_hash
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
@@ -25,7 +25,7 @@ from pixsim.scene.plan import Plan
 from pixsim.scene.renderer import LEVEL_FACTOR, Picture, Renderer
 from pixsim.scene.scene import Scene
 from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.integration import Columns, ideal_rate, integrate_pixels
+from pixsim.sensor.integration import ideal_rate, integrate_pixels
 from pixsim.sensor.pixel import PixelPhysics, derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.sensor.reading import Readout
@@ -40,7 +40,6 @@ PAIR, PAIRS_A_LEVEL = 2, 2
 FIRST_LEVEL = -1  # with a time limit: a picture of a quarter of the samples comes sooner, and more are added to it
 UNKNOWN = 8.0  # times the samples of the first pair: what a render is expected to take before its noise is known
 GRACE, GRACE_S = 0.5, 1.5  # of a time limit and beyond it, for the first pair, without which there is no picture
-RAISE = "Raise --max-seconds or --render-noise"
 EndedBy = Literal["target", "samples", "max_seconds", "runs"]
 
 
@@ -65,6 +64,13 @@ class RenderNoise:
     ended_by: EndedBy
     delta_e: float | None = None
     tolerance_delta_e: float | None = None
+
+    @property
+    def excess(self) -> float:
+        """The noise over its limit."""
+        if self.delta_e is None or self.tolerance_delta_e is None:
+            return self.fraction / self.target
+        return self.delta_e / self.tolerance_delta_e
 
 
 def render_until(
@@ -103,7 +109,7 @@ def render_until(
 
     Returns the irradiance, with the noise in its header, and the noise. Raises PixsimError if the time limit leaves no picture.
     """
-    start, begun_s = time.perf_counter(), time.monotonic()
+    begun_s = time.monotonic()
     ends_at_s = None if max_seconds is None else begun_s + (1 + GRACE) * max_seconds + GRACE_S
     job = Renderer(scene, camera, plan, seed, keep=keep, ends_at_s=ends_at_s)
     white = job.diffuser  # now: behind the renders no time may be left for a white plate
@@ -111,20 +117,24 @@ def render_until(
         pictures, spp = job.run(0, lambda done: progress(done, "") if progress else None)
         noise = RenderNoise(0.0, 0.0, render_noise, 1, "target", 0.0, tolerance_delta_e)
         return job.image(pictures, spp, white, render_noise=asdict(noise)), noise
-    halves: list[list[Array]] = [[], []]
-    runs, level, at_level, weight, samples = 0, 0 if max_seconds is None else FIRST_LEVEL, 0, 0.0, 0
-    noise = RenderNoise(math.inf, math.inf, render_noise, 0, "target")
+
     derived = [derive(pixel, load_technology(pixel.technology)) if isinstance(pixel, Pixel) else pixel for pixel in pixels]
     sensed = [[physics.pixel.model_dump(), physics.technology.content] for physics in derived]
     limits = content_hash([sensed, exposure.model_dump(), render_noise, max_seconds, tolerance_delta_e])
-    in_time = job.cache.runs_in_time(limits) if job.cache and max_seconds is not None else None
-    samples_of_pair = PAIR * math.prod(job.size) * plan.light.passes  # for each sample per film cell
-    most = plan.most_samples / samples_of_pair  # per film cell
-    share = _Share(progress, most if plan.many_bounces and max_seconds is None else UNKNOWN * plan.samples.spp, max_seconds)
+    runs_in_time = job.cache.runs_in_time(limits) if job.cache and max_seconds is not None else None
+    most = math.inf
+    if max_seconds is None:
+        most = plan.most_samples / (PAIR * math.prod(job.size) * plan.light.passes)  # per film cell
+
+    halves: list[list[Array]] = [[], []]
+    runs, level, at_level = 0, 0 if max_seconds is None else FIRST_LEVEL, 0
+    weight, samples = 0.0, 0  # samples per film cell of each half, and of both
+    noise = RenderNoise(math.inf, math.inf, render_noise, 0, "target")
+    needed = most if plan.many_bounces and max_seconds is None else UNKNOWN * plan.samples.spp
+    note, progress = "", progress and _never_back(progress)
     ended: EndedBy | None = None
     while ended is None:
-        times_s = [time.perf_counter()]
-        pair = _pair(job, runs, level, share, times_s)
+        pair = _pair(job, runs, level, weight, needed, progress, note)
         try:
             both = pair if max_seconds is None else [*pair]  # all of it or nothing
         except OutOfTimeError:
@@ -139,27 +149,24 @@ def render_until(
             del pictures  # or it would be a third picture in memory
             runs, samples = runs + 1, samples + spp
         weight, at_level = weight + spp, at_level + 1
+
         fraction, relative = noise_of(job, halves, weight, derived, exposure)
         delta_e = _halves_delta_e(job, halves, weight, delta_e_between if tolerance_delta_e else None)
-        excess = _excess(RenderNoise(fraction, relative, render_noise, runs, "target", delta_e, tolerance_delta_e))
-        much = excess**2 > LEVEL_FACTOR / 2
-        left = math.inf if max_seconds is not None else most - weight
-        up = level < 0 or (much and at_level >= PAIRS_A_LEVEL and spp < MAX_SPP and spp * LEVEL_FACTOR <= left)
-        level, at_level = (level + 1, 0) if up else (level, at_level)
-        if excess <= 1:
-            ended = "target"
-        elif spp > left:
-            ended = "samples"
-        elif max_seconds is not None and (
-            runs >= in_time if in_time else time.perf_counter() - start + _next_pair_s(times_s, up) > max_seconds
-        ):
-            ended = "max_seconds"
-        elif runs >= MAX_RUNS:
-            ended = "runs"
-        noise = RenderNoise(fraction, relative, render_noise, runs, ended or "target", delta_e, tolerance_delta_e)
+        noise = RenderNoise(fraction, relative, render_noise, runs, "target", delta_e, tolerance_delta_e)
+        is_far = noise.excess**2 > LEVEL_FACTOR / 2
+        left = most - weight
+        if level < 0 or (is_far and at_level >= PAIRS_A_LEVEL and spp < MAX_SPP and spp * LEVEL_FACTOR <= left):
+            level, at_level = level + 1, 0
+        spent_s = time.monotonic() - begun_s
+        is_late = max_seconds is not None and (runs >= runs_in_time if runs_in_time else spent_s > max_seconds)
+        ended = _ended_by(noise, no_samples_left=spp > left, is_late=is_late)
+        noise = replace(noise, ended_by=ended or "target")
+
+        note = f", render noise {noise.fraction:.2g} of sensor noise"
+        needed = min(noise.excess**2 * weight, most)
         if max_seconds is not None:
+            needed = min(needed, weight * max_seconds / max(spent_s, 1e-9))
             job.ends_at_s = begun_s + max_seconds  # there is a picture now
-        share.know(weight, min(excess**2 * weight, weight + left), noise)
     if ended == "max_seconds" and job.cache:
         job.cache.store_runs_in_time(limits, runs)
     if noise.delta_e is None:
@@ -170,6 +177,43 @@ def render_until(
     halves.pop()
     rounded = {key: float(f"{value:.6g}") if isinstance(value, float) else value for key, value in asdict(noise).items()}
     return job.image(halves[0], samples, white, render_noise=rounded), noise
+
+
+def _ended_by(noise: RenderNoise, *, no_samples_left: bool, is_late: bool) -> EndedBy | None:
+    """Return why a render ends after a pair; None if it goes on."""
+    if noise.excess <= 1:
+        return "target"
+    if no_samples_left:
+        return "samples"
+    if is_late:
+        return "max_seconds"
+    return "runs" if noise.runs >= MAX_RUNS else None
+
+
+def _never_back(progress: Progress) -> Progress:
+    """Return a progress that never goes back, though what is left of a render is known from its noise only."""
+    most_done = 0.0
+
+    def report(done: float, note: str) -> None:
+        nonlocal most_done
+        most_done = max(most_done, done)
+        progress(most_done, note)
+
+    return report
+
+
+def _pair(
+    job: Renderer, runs: int, level: int, weight: float, needed: float, progress: Progress | None, note: str
+) -> Iterator[tuple[list[Any], int]]:
+    """Iterate over the next two renders.
+
+    weight, needed : samples per film cell of the renders before, and those that are needed
+    """
+    spp = job.plan.samples.spp * LEVEL_FACTOR**level
+    total = max(needed, weight + spp)
+    for number in range(PAIR):
+        first, last = ((weight + spp * part / PAIR) / total for part in (number, number + 1))
+        yield job.run(runs + number, share_of(progress, first, last, note), level)
 
 
 def _add(totals: Sequence[Array], pictures: Sequence[NDArray[Any]], spp: float) -> None:
@@ -190,13 +234,6 @@ def _average(even: Sequence[Array], odd: Sequence[Array], weight: float) -> None
             mean[rows] += other[rows]
             mean[rows] /= 2 * weight
             release(mean[rows], other[rows])
-
-
-def _excess(noise: RenderNoise) -> float:
-    """Return the noise of a render over its limit."""
-    if noise.delta_e is None or noise.tolerance_delta_e is None:
-        return noise.fraction / noise.target
-    return noise.delta_e / noise.tolerance_delta_e
 
 
 def _halves_delta_e(
@@ -232,33 +269,22 @@ def _limit_note(ended: EndedBy, plan: Plan, noise: RenderNoise, max_seconds: flo
 
     Without the seconds that have passed: the text belongs to the result, which a cached render reproduces.
     """
-    limit_s = f"the time limit of {max_seconds or 0:g} s (--max-seconds)"
     causes = {
         "samples": f"the render ended at its limit of {amount(plan.most_samples, 2)} samples",
-        "max_seconds": f"{limit_s} leaves no time for the next step of the render",
+        "max_seconds": f"the render ended at its time limit of {max_seconds or 0:g} s",
         "runs": f"the render ended at its limit of {noise.runs} renders",
     }
     if noise.tolerance_delta_e is not None and noise.delta_e is not None:
         remains = "render noise makes up to {} ΔE, {} tolerated".format(*told_apart(noise.delta_e, noise.tolerance_delta_e))
         return Note("render_noise", words=f"{causes[ended]}: {remains}. Raise --max-seconds or --tolerance-delta-e")
     remains = "render noise is {} of the sensor noise, target {}".format(*told_apart(noise.fraction, noise.target))
-    hint = RAISE
-    if ended == "samples":
-        times, seconds = what_reaches(noise.fraction, noise.target)
-        hint = f"{RAISE}: about {times:.15g} times as many samples reach the target, with --max-seconds {seconds:.15g}"
-    return Note("render_noise", words=f"{causes[ended]}: {remains}. {hint}")
+    factor = f"; about {samples_factor(noise.fraction, noise.target):.15g} times as many samples reach it"
+    return Note("render_noise", words=f"{causes[ended]}: {remains}{factor}. Raise --max-seconds or --render-noise")
 
 
-SECONDS_OF_LIMIT = 30.0  # of `Plan.most_samples` on two cores
-
-
-def what_reaches(fraction: float, render_noise: float) -> tuple[float, float]:
-    """Return how many times as many samples as the limit bring a render noise to its target, and --max-seconds with time for them.
-
-    The variance of the noise falls with the number of samples.
-    """
-    times = float(f"{(fraction / render_noise) ** 2:.2g}")
-    return times, float(f"{max(1.0, 2 * SECONDS_OF_LIMIT * times):.1g}")
+def samples_factor(noise: float, target: float) -> float:
+    """Return how many times as many samples bring a render noise to its target: its variance falls with their number."""
+    return float(f"{(noise / target) ** 2:.2g}")
 
 
 NO_TIME_LIMIT_S = 1e9  # not None, which would limit the samples instead
@@ -281,54 +307,6 @@ def without_clock(asked: Settings, image: SpectralImage) -> Settings:
     if noise["ended_by"] == "max_seconds":
         no_limit |= {"render_noise": noise["fraction"] * (1 + ROUNDING), "tolerance_delta_e": None}
     return asked.model_copy(update=no_limit)
-
-
-def _pair(job: Renderer, runs: int, level: int, share: _Share, times_s: list[float]) -> Iterator[tuple[list[Any], int]]:
-    """Iterate over the next two renders; the time after each is added to `times_s`."""
-    for number in range(PAIR):
-        result = job.run(runs + number, share.of_half(number, job.plan.samples.spp * LEVEL_FACTOR**level), level)
-        times_s.append(time.perf_counter())
-        yield result
-
-
-def _next_pair_s(times_s: Sequence[float], up: bool) -> float:
-    """Estimate what the next pair takes from the time before, within and after the last one; the first render has its kernels too.
-
-    up : whether it has four times the samples, and so kernels of its own
-    """
-    first_s, second_s = np.diff(times_s)
-    return float(PAIR * second_s * LEVEL_FACTOR + max(0.0, first_s - second_s) if up else PAIR * second_s)
-
-
-class _Share:
-    """The share that is done of a render, whose end is known from its noise only; it never goes back.
-
-    needed : samples per film cell that the render is expected to take, while its noise is not known
-    max_seconds : of `render_until`
-    """
-
-    def __init__(self, progress: Progress | None, needed: float, max_seconds: float | None) -> None:
-        self.progress, self.needed, self.max_seconds = progress, needed, max_seconds
-        self.start, self.weight, self.shown, self.note = time.perf_counter(), 0.0, 0.0, ""
-
-    def know(self, weight: float, needed: float, noise: RenderNoise) -> None:
-        """Take the samples per film cell that are done, how many are needed, and the noise after them."""
-        self.weight, self.needed = weight, needed
-        self.note = f", render noise {noise.fraction:.2g} of sensor noise"
-
-    def of_half(self, number: int, spp: float) -> Progress | None:
-        """Return a function that takes the share done of a render of a pair, whose samples per film cell are `spp`."""
-        progress = self.progress
-        if progress is None:
-            return None
-
-        def report(done: float) -> None:
-            weight = self.weight + spp * (number + done) / PAIR
-            passed = (time.perf_counter() - self.start) / self.max_seconds if self.max_seconds else 0.0
-            self.shown = min(1.0, max(self.shown, weight / max(self.needed, self.weight + spp), passed))
-            progress(self.shown, self.note)
-
-        return report
 
 
 def noise_of(
@@ -372,27 +350,20 @@ def measured_parts(shape: tuple[int, int], pixels_per_cell: float, margin: int =
     return list(product(rows, columns))
 
 
-def _rate(job: Renderer, pictures: Sequence[Picture], physics: PixelPhysics, part: tuple[slice, slice]) -> Array | Columns:
+def _rate(job: Renderer, pictures: Sequence[Picture], physics: PixelPhysics, part: tuple[slice, slice]) -> Array:
     """Return `ideal_rate` of a part of an image from the pictures of its pulses, without the memory for all bands.
 
     Pictures in a file are read row by row: the system maps more around each place than a few columns of a row.
     """
-    (rows, across), start = part, part[1].start
+    rows, columns = part
     # For each light, (pulses,): electrons s⁻¹ µm⁻² per unit of a pulse's picture, on the axis.
     units = np.split(ideal_rate(job.units, physics)[0], np.cumsum([picture.shape[2] for picture in pictures])[:-1])
 
-    def rate_of(rows: slice, which: slice) -> Array:
-        fall_off = job.fall_off(rows, which)
-        rate = np.zeros(fall_off.shape)
+    rate = np.zeros((rows.stop - rows.start, columns.stop - columns.start))
+    for strip in strips(*rate.shape):
+        which = slice(rows.start + strip.start, rows.start + strip.stop)
         for picture, unit in zip(pictures, units, strict=True):
-            rate += np.einsum("ijp,p->ij", picture[rows, which], unit)
-            release(picture[rows, which])
-        return rate * fall_off
-
-    shape = rows.stop - rows.start, across.stop - start
-    if not any(is_mapped(picture) for picture in pictures):
-        return Columns(shape, lambda first, last: rate_of(rows, slice(start + first, start + last)))
-    whole = np.empty(shape)
-    for some in strips(*shape):
-        whole[some] = rate_of(slice(rows.start + some.start, rows.start + some.stop), across)
-    return whole
+            rate[strip] += np.einsum("ijp,p->ij", picture[which, columns], unit)
+            release(picture[which, columns])
+        rate[strip] *= job.fall_off(which, columns)
+    return rate

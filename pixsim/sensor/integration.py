@@ -14,7 +14,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 import scipy  # whose parts are imported when they are used
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from pixsim.base.arrays import Array, in_threads, strips, transposed
@@ -52,33 +52,16 @@ RING_CELLS = 64  # after which a ring is 1e-24 of its step
 SPLINE_DEGREE = 5  # contrast error 0.02 % at 60 lp/mm on a 2.65 µm grid; a cubic spline has 0.55 %
 
 
-@dataclass(frozen=True)
-class Columns:
-    """A picture (H, W) whose columns are computed on request, so that it is never in memory as a whole.
-
-    columns : returns columns first … last - 1, (H, last - first), of any real type. It is called in order, for
-        `STRIP_COLUMNS` at a time, once per strip.
-    """
-
-    shape: tuple[int, int]
-    columns: Callable[[int, int], ArrayLike]
-
-
-def map_columns(picture: Array | Columns, axis: int, count: int, of_columns: Callable[[slice, Array], Array]) -> Array:
+def map_columns(picture: Array, axis: int, count: int, of_columns: Callable[[slice, Array], Array]) -> Array:
     """Apply `of_columns`, (slice, (n, columns)) -> (count, columns), to a picture (H, W) along an axis, by strips for memory."""
-    if axis == 1 and not isinstance(picture, Columns):
+    if axis == 1:
         return map_columns(picture.T, 0, count, of_columns).T
     result = np.empty((count, picture.shape[1]))
-    parts = strips(picture.shape[1], 1, STRIP_COLUMNS)
-    if isinstance(picture, Columns):
-        for which in parts:
-            result[:, which] = of_columns(which, np.asarray(picture.columns(which.start, which.stop), float))
-        return result
 
     def compute(which: slice) -> None:
         result[:, which] = of_columns(which, np.asarray(picture[:, which], float))
 
-    in_threads(compute, parts, max(result.size, picture.size))
+    in_threads(compute, strips(picture.shape[1], 1, STRIP_COLUMNS), max(result.size, picture.size))
     return result
 
 
@@ -584,12 +567,7 @@ def check_pixel_count(shape: Iterable[float], pitch_um: float) -> None:
 
 
 def integrate_axis(
-    samples: Array | Columns,
-    sample_pitch_um: float,
-    low_um: Array,
-    high_um: Array,
-    axis: int,
-    running: RunningIntegral | None = None,
+    samples: Array, sample_pitch_um: float, low_um: Array, high_um: Array, axis: int, running: RunningIntegral | None = None
 ) -> Array:
     """Integrate cell means between pairs of positions along one axis, in (sample unit) · µm; the sum is conserved.
 
@@ -626,7 +604,7 @@ def array_size_um(irradiance: SpectralImage, camera: Camera) -> tuple[float, flo
 
 
 def integrate_pixels(
-    rate: Array | Columns,
+    rate: Array,
     sample_pitch_um: float,
     pitch_um: float,
     photodiode_side_um: float,
@@ -640,7 +618,7 @@ def integrate_pixels(
 
     Parameters
     ----------
-    rate : (H, W) per µm², means over square cells of `sample_pitch_um`, or `Columns` that are computed strip by strip
+    rate : (H, W) per µm², means over square cells of `sample_pitch_um`
     pitch_um, photodiode_side_um : of the pixels; the pitch need not divide the width of the picture
     running : `running_integral(rate)` if available; it is the same for all pitches
     size_um : `array_size_um`, (height, width) that the pixels fill; None means the whole picture
@@ -788,7 +766,7 @@ def array_on(
 
 
 def pixel_signal(
-    rate: Array | Columns,
+    rate: Array,
     sample_pitch_um: float,
     physics: PixelPhysics,
     light: Illumination,

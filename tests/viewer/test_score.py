@@ -15,7 +15,7 @@ from pixsim.optics.camera import Camera
 from pixsim.scene.charts import csf_value
 from pixsim.sensor import integration
 from pixsim.sensor.exposure import Exposure
-from pixsim.sensor.integration import Columns, diffracted_rate, ideal_rate, integrate_pixels
+from pixsim.sensor.integration import diffracted_rate, ideal_rate, integrate_pixels
 from pixsim.sensor.pixel import derive
 from pixsim.sensor.pixel_options import Pixel
 from pixsim.viewer import display as displays, evaluate as evaluating
@@ -152,13 +152,11 @@ def test_memory_of_large_film_is_bounded(monkeypatch):
     light = prepare_scene(asked, SceneLight(image))
     rate = light.rate_e_per_s_um2
     grid, edges_um = (light.sample_pitch_um, 5.3, 3.0), light.screen.dot_edges_um
-    on_demand = Columns(rate.shape, lambda first, last: rate[:, first:last])
     works = {
         "project": (lambda: prepare_scene(asked, SceneLight(image)), 1.1, 1.6),
         "ideal_rate": (lambda: ideal_rate(image, physics), 1.0, 1.5),
         "diffraction": (lambda: diffracted_rate(image, CAMERA, physics), 1.0, 1.3),
         "pixels": (lambda: integrate_pixels(rate, *grid), 0.4, 0.8),
-        "pixels on demand": (lambda: integrate_pixels(on_demand, *grid), 0.4, 0.8),
         "ideal image": (lambda: displays.ideal_luminance(asked, image, edges_um), 1.0, 1.6),
         "white": (lambda: white_header([(asked, silent)]), 1.0, 1.6),
         "fall-off": (lambda: optics.field_factor((n, n), 1.0, 4.0, 4.0, 0.0), 1.0, 1.3),
