@@ -49,7 +49,6 @@ from pixsim.show.document import (
     Document,
     DocumentTable,
     Fact,
-    Link,
     Listed,
     Map,
     Pictures,
@@ -85,7 +84,7 @@ from pixsim.studies.paired import Pairs, mean_interval
 from pixsim.studies.sensors import OF_A_SENSOR, ComparisonJob, SensorGroup, pixels_of
 from pixsim.studies.settings import paths_of
 from pixsim.studies.table import ROWS_FILE
-from pixsim.studies.uncertainty import FEW_SENSORS, TYPES_FILE
+from pixsim.studies.uncertainty import FEW_SENSORS
 from pixsim.viewer.display import white_light
 from pixsim.viewer.metrics import DELTA_E as DELTA_E_METRIC, Metric
 from pixsim.viewer.screen import LightLevel
@@ -98,10 +97,6 @@ SCORES_CAPTION = (
     "The first metric of each frame of each sensor (grey), with the mean and its 95 % interval; with axes, the difference of each "
     "later sensor from the first at each of their values. The film's error is not in it."
 )
-ROWS_FILES = {
-    ROWS_FILE: "numbers of each frame, with which an interrupted comparison goes on",
-    TYPES_FILE: "the same of the sensor types of --uncertainty",
-}
 
 
 def comparison_outline(job: ComparisonJob) -> dict[str, Any]:
@@ -181,33 +176,18 @@ def _outline_blocks(job: ComparisonJob, shown: dict[str, Any], out: Path) -> Ite
 # --- files ------------------------------------------------------------------------------------------------------------------------
 
 
-def figures_of(job: ComparisonJob) -> dict[str, str]:
-    """Return the names of the figures of a comparison, with their descriptions."""
-    has_budget = job.shown.first.settings.noise_budget
-    return {SCORES: "the first metric of each frame"} | ({NAME: "noise and ΔE by cause"} if has_budget else {})
-
-
-def comparison_files(job: ComparisonJob) -> dict[str, str]:
-    """Return the names of all files of a comparison, with their descriptions; pixsim.json comes with them."""
-    files = {
-        JSON_FILE: "all numbers and settings, for programs",
-        SETTINGS_FILE: "settings of all sensors; its first lines have the command that makes the same numbers again",
-    }
-    for name, words in figures_of(job).items():
-        files |= {f"figures/{name}.svg": words, f"figures/{name}.csv": f"data of the figure of {words}"}
+def comparison_files(job: ComparisonJob) -> set[str]:
+    """Return the names of all files of a comparison but the list of them."""
+    figures = [SCORES, *[NAME] * job.shown.first.settings.noise_budget]
+    names = {PAGE, JSON_FILE, SETTINGS_FILE, *figure_files(figures)}
     for sensor in job.names:
-        files |= {
-            f"sensors/{sensor}.toml": f"pixel, camera and exposure of {sensor}, as its file and the options have them",
-            f"pictures/image_{sensor}.png": f"image of {sensor}, as shown",
-            f"pictures/ideal_{sensor}.png": f"image of an ideal camera with the response of {sensor}",
-            f"pictures/delta_e_{sensor}.png": f"S-CIELAB ΔE map of {sensor}, with axes",
-        }
-    return files
+        names |= {f"sensors/{sensor}.toml"} | {f"pictures/{picture}_{sensor}.png" for picture in ("image", "ideal", "delta_e")}
+    return names
 
 
 def check_output(job: ComparisonJob, folder: str | os.PathLike[str]) -> None:
     """Raise PixsimError if the folder holds a file of a comparison's name that pixsim did not write."""
-    check_replaceable(folder, {PAGE, *comparison_files(job), *figure_files(figures_of(job))})
+    check_replaceable(folder, comparison_files(job))
 
 
 def settings_files(job: ComparisonJob) -> dict[str, str]:
@@ -269,11 +249,8 @@ def comparison_document(result: Comparison, warned: Collection[str] = ()) -> Doc
     )
 
 
-def comparison_page(result: Comparison, folder: str | os.PathLike[str]) -> Document:
-    """Return the document of a comparison with its page and all other files.
-
-    folder : that will be written, which may hold `ROWS_FILES`
-    """
+def comparison_page(result: Comparison) -> Document:
+    """Return the document of a comparison with its page and all other files."""
     end = scale_end(max(sensor.score.statistics()["p99_delta_e"] for sensor in result.sensors))
     pictures = dict[str, bytes]()
     for sensor in result.sensors:
@@ -281,11 +258,10 @@ def comparison_page(result: Comparison, folder: str | os.PathLike[str]) -> Docum
         pictures[f"pictures/image_{sensor.name}.png"] = light_png(score.image)
         pictures[f"pictures/ideal_{sensor.name}.png"] = light_png(score.ideal)
         pictures[f"pictures/delta_e_{sensor.name}.png"] = delta_e_png(score.delta_e, where, end)
-    rows_files = [name for name in ROWS_FILES if Path(folder, name).is_file()]
     return replace(
         comparison_document(result),
         lead=(_slider(result), *facts(result), *notes(result)),
-        sections=_sections(result, pictures, end, rows_files),
+        sections=_sections(result, pictures, end),
         files={**pictures, **settings_files(result.job)},
     )
 
@@ -522,12 +498,11 @@ def _slider(result: Comparison) -> Slider:
     return Slider("slider", heading, first, (*others, ideal), f"the picture of {first.name}", "the chosen picture")
 
 
-def _sections(result: Comparison, pngs: Mapping[str, bytes], end: float, rows_files: Sequence[str]) -> Iterator[Section]:
+def _sections(result: Comparison, pngs: Mapping[str, bytes], end: float) -> Iterator[Section]:
     """Yield the sections of the page.
 
     pngs : name -> picture
     end : of the colour scale of the ΔE maps
-    rows_files : of `ROWS_FILES`, those that are there
     """
     job, sensors = result.job, result.sensors
     tables = [_differences(result, metric) for metric in asked_metrics(job)]
@@ -547,10 +522,6 @@ def _sections(result: Comparison, pngs: Mapping[str, bytes], end: float, rows_fi
     yield budgets_section({sensor.name: sensor.budget for sensor in sensors if sensor.budget is not None})
     yield Section("shared", "What the sensors share", [Listed(common_words(job))])
     yield Section("settings", "Settings", _settings(result))
-    files = comparison_files(job) | {name: ROWS_FILES[name] for name in rows_files}
-    files["pixsim.json"] = "versions, wall times, names of files"
-    listed = [(Link(name, name), f": {words}") for name, words in files.items()]
-    yield Section("files", "Files in this folder", [Listed(listed)], folded=True)
 
 
 def _detail(result: Comparison, end: float) -> Section:
@@ -630,17 +601,15 @@ def _settings(result: Comparison) -> list[Block]:
         rows = [(".".join(path), setting_value(value, path[-1]), "", "set") for path, value in stated.items()]
         shared.append(settings_table(f"condition {condition.name}", rows))
 
-    head = ("setting", *result.names)
-    rows_of = {setting: (setting, *(of_sensor.get(name, "") for name in result.names)) for setting, of_sensor in values.items()}
-    differing = DocumentTable(
-        "settings of the sensors", head, [row for name, row in rows_of.items() if name in changed], words=None
-    )
-    others = replace(differing, rows=[row for name, row in rows_of.items() if name not in changed])
-    return [differing, *settings_blocks(shared), Section("", "All other settings of the sensors", [others], folded=True)]
+    rows = [
+        (name, *(of_sensor.get(sensor, "") for sensor in result.names)) for name, of_sensor in values.items() if name in changed
+    ]
+    differing = DocumentTable("settings of the sensors", ("setting", *result.names), rows, words=None)
+    return [differing, *settings_blocks(shared)]
 
 
 def _page(result: Comparison, options: PageOptions) -> Document:
-    return comparison_page(result, options.folder)
+    return comparison_page(result)
 
 
 PRESENTER = Presenter(document=comparison_document, figure=scores_plate, csv=comparison_csv, page=_page)

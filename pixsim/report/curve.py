@@ -36,7 +36,7 @@ def optimum_answer(curve: Curve) -> Answer:
     first, *others = _optimum_parts(curve)
     best = headline([joined([f"{curve.label}: ", first], ""), *others])
     is_range = curve.judged_by_delta_e and not curve.fit_swings
-    within = f"within 1 % of it: {within_words(curve.optimum.within_1_percent_um, curve)}" if is_range else ""
+    within = f"within 1 % of it: {interval(curve.optimum.within_1_percent_um)}" if is_range else ""
     displays = [f"{display.optimum.pitch_um:.2g} µm on {display.dots} dots" for display in curve.on_displays]
     further = f"best size on other displays: {', '.join(displays)}" if displays else ""
     return Answer(best.head, tuple(text for text in (*best.below, curve.case.developed, within, further) if text))
@@ -83,7 +83,7 @@ def optima_table(curves: Sequence[Curve]) -> DocumentTable:
         best = curve.optimum
         size = f"{best.pitch_um:.2f}" if best.inside else f"none; least at {best.pitch_um:.2f}, the end of the sizes"
         value = best_value_words(curve).removeprefix(f"{curve.metric.words} ")
-        row = [curve.label, size, interval_words(curve), value, within_words(best.within_1_percent_um, curve)]
+        row = [curve.label, size, interval_words(curve), value, interval(best.within_1_percent_um)]
         rows.append((*row, *[f"{100 * curve.optimum_fill_factor:.0f}"] * partly))
     head = ["pixel", "optimum (µm)", "95 % interval", curves[0].metric.words, "within 1 % of it", *["fill factor (%)"] * partly]
     return DocumentTable("optima", head, rows, words=None)
@@ -100,14 +100,6 @@ def shown_mean_of(curve: Curve, mean_delta_e: float) -> str:
 def interval_words(curve: Curve) -> str:
     """Return the 95 % interval of a curve's optimum as text; none where the fit swings."""
     return "unknown beside the steep flank" if curve.fit_swings else interval(curve.optimum.interval_um)
-
-
-def within_words(ends: tuple[float | None, float | None], curve: Curve) -> str:
-    """Return a range of pitches as text, naming an end at the smallest or the largest pitch tried."""
-    (low, high), (smallest, largest) = ends, curve.fitted_range_um
-    first = f"≤ {smallest:.2f} µm (smallest tried)" if low is None else f"{low:.2f}"
-    last = f"≥ {largest:.2f} µm (largest tried)" if high is None else f"{high:.2f} µm"
-    return f"{first} to {last}"
 
 
 # --- its figure ------------------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Figures 2 and 4 to 6 of Chen, Catrysse, El Gamal and Wandell (2000), computed by pixsim."""
+"""Figures 2 and 6 of Chen, Catrysse, El Gamal and Wandell (2000), computed by pixsim."""
 
 from __future__ import annotations
 
@@ -9,10 +9,8 @@ import scipy  # whose parts are imported when they are used
 
 from pixsim.base.arrays import Array
 from pixsim.report.pictures import picture_axes
-from pixsim.report.views import draw_iso, study_pictures
-from pixsim.show.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, draw_picture, fix_margins, new_figure
-from pixsim.show.pages import Drawing, Plate, coarse_table, figure
-from pixsim.show.pictures import scale_end
+from pixsim.show.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, fix_margins, label_axes, new_figure
+from pixsim.show.pages import Drawing, Plate, figure
 from pixsim.studies.claims import (
     FIGURE_2B_PITCHES_UM,
     FIGURE_6_PITCHES_UM,
@@ -23,12 +21,8 @@ from pixsim.studies.claims import (
 )
 from pixsim.studies.merit import extent, system_mtf
 from pixsim.studies.result import StudyResult
-from pixsim.viewer.delta_e_statistics import percentiles
 
-PAPER_PLATES = (
-    "figure_2a_dr_snr", "figure_2b_mtf", "figure_4_scene", "figure_5_pictures_8um", "figure_6_iso_delta_e",
-)  # fmt: skip
-FIGURE_5_PITCH_UM = 8.0
+PAPER_PLATES = ("figure_2a_dr_snr", "figure_2b_mtf", "figure_6_iso_delta_e")
 SIX_UM_NYQUIST_CY_PER_MM = 1e3 / (2 * 6.0)
 
 
@@ -87,24 +81,6 @@ def figure_2b(result: StudyResult) -> Drawing:
     return figure, table
 
 
-@figure("figure_4_scene", "Figure 4: the light on the sensor. The scene as rendered, with fall-off.")
-def figure_4(result: StudyResult) -> Drawing:
-    """Show the CSF scene as rendered: illuminance on the sensor."""
-    lux = result.irradiance.illuminance_lx()
-    figure = new_figure(4.6, 4.4)
-    axes = figure.subplots()
-    draw_picture(axes, lux / lux.max(), picture_axes(result.irradiance))
-    return figure, coarse_table(lux, "illuminance_lx")
-
-
-def figure_5(evidence: Evidence) -> Plate:
-    """Show the ideal image, output, ΔE map and curves of equal ΔE at 8 µm."""
-    sizes = evidence.sizes
-    end = scale_end(max(percentiles(sizes[pitch_um].score.delta_e, (99,))[0] for pitch_um in FIGURE_6_PITCHES_UM))
-    plate = study_pictures(evidence.result, REFERENCE_TECHNOLOGY, sizes[FIGURE_5_PITCH_UM], end)
-    return numbered(plate, 5, "figure_5_pictures_8um")
-
-
 @figure(
     "figure_6_iso_delta_e",
     "Figure 6: curves of equal ΔE of four pixel sizes, of the smoothed mean of the sensors' maps. Contrast grows downwards and "
@@ -116,26 +92,31 @@ def figure_6(evidence: Evidence) -> Drawing:
     _, width_mm, height_mm, _ = extent(evidence.result.irradiance)
     figure = new_figure(7.2, 4.2)
     axes = figure.subplots()
-    vertices: list[tuple[float, float, float]] = []
+    points: list[tuple[float, float, float]] = []
     for pitch_um, look in zip(FIGURE_6_PITCHES_UM, LOOKS, strict=False):
         smooth = scipy.ndimage.gaussian_filter(evidence.maps[pitch_um], ISO_SMOOTHING_DOTS, mode="nearest")
         down, across = evidence.border(pitch_um)
-        border_um = 1e3 * down * height_mm, 1e3 * across * width_mm
-        where = picture_axes(evidence.result.irradiance, border_um)
-        lines = draw_iso(axes, where, smooth, [(level, look, 1.6, f"{pitch_um:g} µm")])
-        vertices += [(pitch_um, x / width_mm, y / height_mm) for x, y in lines]
-    handles = [axes.plot([], [], label=f"{p:g} µm", **look.stroke)[0]
-               for p, look in zip(FIGURE_6_PITCHES_UM, LOOKS, strict=False)]  # fmt: skip
+        where = picture_axes(evidence.result.irradiance, (1e3 * down * height_mm, 1e3 * across * width_mm))
+        left, right, bottom, top = where.extent_mm
+        rows, columns = smooth.shape
+        x_mm = left + (np.arange(columns) + 0.5) / columns * (right - left)
+        y_mm = top + (np.arange(rows) + 0.5) / rows * (bottom - top)
+
+        axes.plot([], [], label=f"{pitch_um:g} µm", **look.stroke)
+        if smooth.min() < level < smooth.max():
+            contours = axes.contour(x_mm, y_mm, smooth, [level], colors=look.colour, linestyles=[look.dashes], linewidths=1.6)
+            points += [(pitch_um, *place) for segment in contours.allsegs[0] for place in segment.tolist()]
+    axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
+    label_axes(axes, where)
     title = f"ΔE = {level:g}, pixels of"
     # Beside the axes, since curves may lie anywhere in them.
-    axes.legend(handles=handles, title=title, frameon=False, loc="upper left", bbox_to_anchor=(1, 1), handlelength=LEGEND_LINE)
-    pitch_um_of, x, y = np.array(vertices).T.reshape(3, -1)
+    axes.legend(title=title, frameon=False, loc="upper left", bbox_to_anchor=(1, 1), handlelength=LEGEND_LINE)
+    pitches_um, x_mm, y_mm = np.array(points).T.reshape(3, -1)
     return figure, {
-        "pitch_um": pitch_um_of,
-        "frequency_lp_per_mm": evidence.frequency_lp_per_mm(x),
-        "contrast": evidence.contrast(y),
+        "pitch_um": pitches_um,
+        "frequency_lp_per_mm": evidence.frequency_lp_per_mm(x_mm / width_mm),
+        "contrast": evidence.contrast(y_mm / height_mm),
     }
 
 
-SCENE_FIGURES = (figure_2a, figure_2b, figure_4)  # of the pixels and the scene
-MAP_FIGURES = (figure_5, figure_6)  # of ΔE maps
+SCENE_FIGURES = (figure_2a, figure_2b)  # of the pixels

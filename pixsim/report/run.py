@@ -45,8 +45,6 @@ from pixsim.show.document import (
     Document,
     DocumentTable,
     Fact,
-    Link,
-    Listed,
     Map,
     Pictures,
     Plot,
@@ -80,19 +78,10 @@ if TYPE_CHECKING:
     from pixsim.viewer.noise_budget import NoiseBudget
     from pixsim.viewer.setting import Run
 
-# Files next to the page, with their descriptions.
-FILES = {
-    "score.json": "all numbers and settings, for programs",
-    ROWS_FILE: "numbers of the first frame of each sensor",
-    "irradiance.exr": "light on the sensor, before diffraction",
-    "raw.exr": "digital numbers of the sensor",
-    "ideal.png": "image of an ideal camera, as shown",
-    "image.png": "image of the sensor, as shown",
-    "delta_e.exr": "S-CIELAB ΔE map, for programs",
-    "delta_e.png": "S-CIELAB ΔE map, with axes",
-    "settings.toml": "all settings: `pixsim run SCENE --config settings.toml` makes the same numbers again",
-    "pixsim.json": "versions, wall times, names of files",
-}
+FILES = (  # next to the page
+    *("score.json", ROWS_FILE, "irradiance.exr", "raw.exr", "ideal.png", "image.png", "delta_e.exr", "delta_e.png"),
+    *(SETTINGS_FILE, "pixsim.json"),
+)
 MEANINGS = {
     "pitch_um": "pixel size, centre to centre (µm)",
     "fill_factor": "photodiode area over pixel area",
@@ -106,16 +95,6 @@ MEANINGS = {
     "p99_delta_e": "99th percentile of ΔE over dots",
     "max_delta_e": "largest ΔE",
 }
-COLOUR_MEANINGS = {
-    "layout": "channels of a frame: rows of the unit cell, or planes",
-    "white_spectrum": "light of white, for white balance, matrix and ideal image",
-    "white_e": "electrons of white",
-    "matrix_to_display": "matrix from balanced channels to the display's red, green and blue, by rows",
-    "noise_gains": "noise gains of the matrix in red, green, blue",
-    "sensitivity_metamerism_index": "sensitivity metamerism index under this lamp (100: no colour error)",
-    "patches_mean_delta_e": "mean ΔE of patches 1-18 of a ColorChecker behind the matrix, without noise",
-    "ideal_is_coloured": "ideal image in colour, as that of other colour sensors; else grey, as that of monochrome ones",
-}
 
 
 def colour_rows(facts: Mapping[str, Any] | None, out_of_gamut: tuple[float, float] | None) -> list[tuple[str, str]]:
@@ -126,25 +105,15 @@ def colour_rows(facts: Mapping[str, Any] | None, out_of_gamut: tuple[float, floa
     """
     if facts is None or out_of_gamut is None:
         return []
-    shares = zip(("the ideal image", "the sensor's picture"), out_of_gamut, strict=True)
+    of_ideal, of_sensor = out_of_gamut
     return [
-        *((meaning, _words(facts[name])) for name, meaning in COLOUR_MEANINGS.items()),
-        *((f"dots outside the display's gamut: {picture}", percent(share, 2)) for picture, share in shares),
+        ("light of white, for white balance, matrix and ideal image", str(facts["white_spectrum"])),
+        ("noise gains of the matrix in red, green, blue", ", ".join(rounded(gain, 4) for gain in facts["noise_gains"])),
+        ("sensitivity metamerism index under this lamp (100: no colour error)", rounded(facts["sensitivity_metamerism_index"], 4)),
+        ("mean ΔE of patches 1-18 of a ColorChecker behind the matrix, without noise", rounded(facts["patches_mean_delta_e"], 4)),
+        ("dots outside the display's gamut: the ideal image", percent(of_ideal, 2)),
+        ("dots outside the display's gamut: the sensor's picture", percent(of_sensor, 2)),
     ]
-
-
-def _words(value: Any) -> str:
-    """Return a number, a truth, a text, or several of them, as text."""
-    match value:
-        case bool():
-            return "yes" if value else "no"
-        case float():
-            return rounded(value, 4)
-        case list():
-            return ("; " if isinstance(value[0], list) else ", ").join(map(_words, value))
-        case dict():
-            return ", ".join(f"{name} {_words(inner)}" for name, inner in value.items())
-    return str(value)
 
 
 COLOUR = (
@@ -239,7 +208,7 @@ def run_page(result: RunResult, files: RunFiles = USUAL, progress: Progress | No
     return replace(
         document,
         lead=(Slider("slider", "", whole_picture(score.ideal, "ideal image"), (sensor,)), *document.lead),
-        sections=(*_sections(result, delta_e, files), *document.sections),
+        sections=(*_sections(result, delta_e), *document.sections),
         writers=(write_light, write_arrays),  # the largest file by far first
         files={
             "ideal.png": light_png(score.ideal),
@@ -462,7 +431,7 @@ def light_words(result: RunResult) -> list[str]:
 # --- the page ---------------------------------------------------------------------------------------------------------------------
 
 
-def _sections(result: RunResult, delta_e: bytes, files: RunFiles) -> Iterator[Section]:
+def _sections(result: RunResult, delta_e: bytes) -> Iterator[Section]:
     """Yield the sections of the page.
 
     delta_e : the map of the errors, as PNG
@@ -476,7 +445,6 @@ def _sections(result: RunResult, delta_e: bytes, files: RunFiles) -> Iterator[Se
     yield Section("colour", "Colour", (COLOUR, DocumentTable("numbers of the colours", (), colour)) if colour else ())
     rest = [UNSTATED] if result.score.physics.technology.name == NO_TECHNOLOGY else []
     yield Section("settings", "Settings", [*settings_blocks(_settings(result)), *rest])
-    yield Section("files", "Files in this folder", (Listed(_files(files, result.prepared.frames)),), folded=True)
 
 
 def _errors(result: RunResult, delta_e: bytes) -> Iterator[Block]:
@@ -484,11 +452,8 @@ def _errors(result: RunResult, delta_e: bytes) -> Iterator[Block]:
     score, p99 = result.score, result.statistics[0]["p99_delta_e"]
     end = scale_end(p99)
     yield Map(delta_e, f"S-CIELAB ΔE. One dot in a hundred has more than {estimate(p99)}.")
-    left_mm, right_mm, bottom_mm, top_mm = extent(result.irradiance, score.border_um)
     window = worst_window([score.delta_e])
-    x_mm = left_mm + window.centre[0] * (right_mm - left_mm)
-    y_mm = top_mm + window.centre[1] * (bottom_mm - top_mm)
-    yield f"The largest errors, around x = {x_mm:.3g} mm, y = {y_mm:.3g} mm from the upper left, dot for dot:"
+    yield "The detail with the largest errors, dot for dot:"
     yield Pictures((crops(score, window, "the sensor's picture", end),), "the detail with the largest errors")
     yield DeltaEScale(scale(end))
     yield size_words(factor_for(score.ideal), result.settings.display.samples_per_deg)
@@ -535,17 +500,6 @@ def _settings(result: RunResult) -> list[DocumentTable]:
     scene = scene_rows(irradiance, settings.scene, light)
     scene.append(("seed", settings.seed, "of all random numbers", "set" if settings.seed else "default"))
     return settings_tables(scene, settings, result.camera, result.score.physics.pixel, result.colour is not None, sheet)
-
-
-def _files(files: RunFiles, frames: int) -> tuple[Text, ...]:
-    """Return the other files of a run of so many frames with their descriptions."""
-    names = files.names(frames)
-    listed = {name: words for name, words in FILES.items() if name in names}
-    listed |= {f"raw{suffix}": FILES["raw.exr"] for suffix in files.raw_suffixes}
-    if frames > 1:
-        last = f"{raw_stem(frames)}.exr"
-        listed[last] = f"the last of the frames of this sensor from {raw_stem(2)}.exr on, each with temporal noise of its own"
-    return tuple((Link(name, name), f": {words}") for name, words in listed.items())
 
 
 def raw_stem(number: int) -> str:

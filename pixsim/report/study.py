@@ -25,13 +25,13 @@ from pixsim.report.curve import (
 )
 from pixsim.report.neq import NEQ, neq_against_frequency
 from pixsim.report.noise_budget import NAME, budgets_section
-from pixsim.report.paper import MAP_FIGURES, PAPER_PLATES, SCENE_FIGURES, numbered
+from pixsim.report.paper import PAPER_PLATES, SCENE_FIGURES, figure_6, numbered
 from pixsim.report.pictures import size_words
 from pixsim.report.regret import REGRETS, metrics_against_pitch, regrets_plate
 from pixsim.report.settings import UNSTATED, record_rows, scene_rows, settings_blocks, settings_table, settings_tables
 from pixsim.report.study_facts import study_facts, study_notes
 from pixsim.report.uncertainty import uncertainty_blocks, uncertainty_document
-from pixsim.report.views import SENSORS_SHOWN, Views, best_place, map_end, study_pictures, study_views
+from pixsim.report.views import Views, map_end, study_views
 from pixsim.report.wording import DELTA_E, film_words, rendered_words, weighted_answer
 from pixsim.sensor.labels import file_label, labels_of
 from pixsim.show.document import (
@@ -46,7 +46,6 @@ from pixsim.show.document import (
     Slider,
     Tiles,
     VerdictText,
-    pairs,
 )
 from pixsim.show.figures import COLOURS, LEGEND_LINE, draw_terms, drawing_thread, fix_margins, literal, new_figure, prepare_to_draw
 from pixsim.show.pages import Drawing, Drawn, Figures, Plate, figure, figure_files
@@ -174,24 +173,23 @@ FIGURE_NUMBERS = {"delta_e_against_pitch": 7, "delta_e_against_pitch_all": 8, "o
 
 
 class PictureTask(NamedTuple):
-    """What a worker makes: the maps of a pixel size of a technology, or the pictures of all sizes.
+    """What a worker makes: the maps of a pixel size of the paper's, or the pictures of all sizes.
 
-    sensors : of the maps; 0 for pictures
+    pitch_um : of the maps; 0 for pictures
     """
 
     technology: str
     pitch_um: float
-    sensors: int
 
     def __str__(self) -> str:
-        return f"maps of {self.pitch_um:g} µm pixels" if self.sensors else f"pictures of {self.technology}"
+        return f"maps of {self.pitch_um:g} µm pixels" if self.pitch_um else f"pictures of {self.technology}"
 
 
 def make_pictures(call: tuple[int, PictureTask], result: StudyResult) -> tuple[int, Views | SizeMaps]:
     """Return what a worker makes, with its number; it imports no Matplotlib."""
     number, task = call
-    if task.sensors:
-        return number, size_maps(result, task.pitch_um, task.technology, task.sensors)
+    if task.pitch_um:
+        return number, size_maps(result, task.pitch_um, task.technology, SENSORS)
     return number, study_views(result, next(curve for curve in result.curves if curve.technology == task.technology))
 
 
@@ -220,10 +218,10 @@ class StudyDrawing:
         if study.study.paper:
             self.scene = [self.plot(draw, study) for draw in SCENE_FIGURES]
             self.sizes = {pitch_um: self._thread.submit(size_maps, study, pitch_um) for pitch_um in FIGURE_6_PITCHES_UM}
-            self.maps = [self.plot(self._map_figure, draw, study) for draw in MAP_FIGURES]
+            self.maps = [self.plot(self._map_figure, study)]
 
-    def _map_figure(self, draw: Callable[[Evidence], Plate], study: StudyResult) -> Plate:
-        return draw(Evidence(study, {}, {pitch_um: maps.result() for pitch_um, maps in self.sizes.items()}))
+    def _map_figure(self, study: StudyResult) -> Plate:
+        return figure_6(Evidence(study, {}, {pitch_um: maps.result() for pitch_um, maps in self.sizes.items()}))
 
     def plot(self, draw: Callable[P, Plate], *args: P.args, **options: P.kwargs) -> Plot:
         """Return a figure that is drawn after those that wait."""
@@ -247,16 +245,10 @@ def study_drawing(figures: Figures = "svg") -> Iterator[StudyDrawing]:
 
 def pictures_of_workers(
     result: StudyResult, workers: Workers, sizes_um: Sequence[float]
-) -> tuple[list[Views], list[SizeMaps], dict[float, SizeMaps]]:
-    """Return pictures and maps of the best size of each technology judged by ΔE, and maps of pixel sizes of the paper's."""
-    tasks: list[PictureTask] = []
-    for curve in result.curves:
-        if curve.has_delta_e:
-            best_um = float(curve.pitch_um[best_place(curve)])
-            sensors = min(SENSORS_SHOWN, result.sensors_at(curve.technology, best_um))
-            tasks += [PictureTask(curve.technology, best_um, sensors), PictureTask(curve.technology, 0.0, 0)]
-    best = len(tasks)
-    tasks += [PictureTask(REFERENCE_TECHNOLOGY, pitch_um, SENSORS) for pitch_um in sizes_um]
+) -> tuple[list[Views], dict[float, SizeMaps]]:
+    """Return pictures of each technology judged by ΔE, and maps of pixel sizes of the paper's."""
+    tasks = [PictureTask(curve.technology, 0.0) for curve in result.curves if curve.has_delta_e]
+    tasks += [PictureTask(REFERENCE_TECHNOLOGY, pitch_um) for pitch_um in sizes_um]
 
     def shared() -> StudyResult:  # one function for all calls, so that workers share the result
         return result
@@ -264,14 +256,7 @@ def pictures_of_workers(
     made = dict(results_of(make_pictures, [((number, task), shared) for number, task in enumerate(tasks)], workers))
     parts = [made[number] for number in range(len(tasks))]
     views = [part for part in parts if isinstance(part, Views)]
-    maps = [part for part in parts[:best] if isinstance(part, SizeMaps)]
-    return views, maps, {part.score.physics.pitch_um: part for part in parts[best:] if isinstance(part, SizeMaps)}
-
-
-def pictures_plate(result: StudyResult, curve: Curve, maps: SizeMaps) -> Plate:
-    """Return the figure of the best of the sizes tried of a technology."""
-    plate = study_pictures(result, curve.label, maps, map_end(result))
-    return plate.named(f"pictures_{curve.file_label}")
+    return views, {part.score.physics.pitch_um: part for part in parts if isinstance(part, SizeMaps)}
 
 
 def curve_figures(result: StudyResult, first: Curve) -> list[Callable[[], Plate]]:
@@ -313,8 +298,7 @@ def report_files(study: Study) -> set[str]:
     """Return the names of all files that the report of a study may have."""
     labels = [file_label(label) for label in labels_of(study.technologies)]
     curves = (curve_file(name, study.paper) for name in FIGURE_NUMBERS)
-    pictures = (f"pictures_{label}" for label in labels)
-    plates = {*curves, REGRETS, "metrics", NEQ, "light_against_detail", *pictures}
+    plates = {*curves, REGRETS, "metrics", NEQ, "light_against_detail"}
     plates |= set(PAPER_PLATES) if study.paper else set()
     plates |= {NAME} if study.noise_budget else set()
     sheets = (f"figures/contact_sheet_{label}.png" for label in labels)
@@ -408,12 +392,10 @@ def study_page(
         drawing.wait()
 
     sizes_um = [pitch_um for pitch_um in FIGURE_6_PITCHES_UM if paper and pitch_um not in begun]
-    views, best, sizes = pictures_of_workers(result, workers, sizes_um)
-    judged = [curve for curve in result.curves if curve.has_delta_e]
-    maps = [drawing.plot(pictures_plate, result, curve, part) for curve, part in zip(judged, best, strict=True)]
+    views, sizes = pictures_of_workers(result, workers, sizes_um)
     evidence = Evidence(result, by_name, sizes | {pitch_um: maps.result() for pitch_um, maps in begun.items()})
     rows = findings(evidence) if paper else []
-    further = drawing.maps if begun and not sizes_um else [drawing.plot(draw, evidence) for draw in MAP_FIGURES if paper]
+    further = drawing.maps if begun and not sizes_um else [drawing.plot(figure_6, evidence)] * paper
 
     brief = study_document(result)
     unstated = [UNSTATED] if all(curve.data_sheet for curve in result.curves) else []
@@ -431,8 +413,6 @@ def study_page(
             budgets_section(budgets),
             Section("limits", "What limits these pixels", [limits]),
             Section("settings", "Settings", [*settings_blocks(settings(result)), *unstated]),
-            Section("technologies", "Numbers of the technologies", technology_tables(result), folded=True),
-            Section("maps", "Whole pictures and maps", maps, folded=True),
             Section("figures", "The paper's other figures", [*scene, *further], folded=True),
             Section("made", "How this was computed", made, folded=True),
         ),
@@ -477,16 +457,6 @@ def _paper(rows: Sequence[Finding]) -> list[Block]:
 def agrees(whether: bool) -> tuple[VerdictText]:
     """Return whether a result agrees with a statement, for a cell of a table."""
     return (VerdictText("yes" if whether else "does not agree", whether),)
-
-
-def technology_tables(result: StudyResult) -> list[DocumentTable]:
-    """Return the numbers of the technologies of the curves, whose sources stand in their files."""
-    tables = []
-    for curve in result.curves:
-        if not curve.data_sheet:
-            process = result.processes[curve.technology]
-            tables.append(pairs(process.name, {name: (process.content | process.numbers)[name] for name in process.sources}))
-    return tables
 
 
 def _rendered(result: StudyResult) -> str:

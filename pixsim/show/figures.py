@@ -21,7 +21,7 @@ from pixsim.base.digits import setting_text
 from pixsim.base.errors import invalid
 from pixsim.base.lazy import RC_FILE, leave_out_docstrings_of_matplotlib
 from pixsim.base.shared_block import SharedBlock
-from pixsim.show.pictures import VIEWING_GAMMA, PictureAxes, smallest_png
+from pixsim.show.pictures import PictureAxes, smallest_png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -243,20 +243,6 @@ def finish(
     axes.grid(alpha=0.25)
     if legend and axes.get_legend_handles_labels()[0]:
         axes.legend(frameon=False, fontsize=8, loc=legend, handlelength=handlelength)
-
-
-def draw_picture(axes: Axes, luminance: Array, where: PictureAxes) -> None:
-    shown = np.clip(luminance, 0, 1) ** (1 / VIEWING_GAMMA)
-    axes.imshow(shown, cmap="gray", vmin=0, vmax=1, extent=where.extent_mm)
-    label_axes(axes, where)
-
-
-def draw_delta_e(axes: Axes, bar: Axes, delta_e: Array, where: PictureAxes, end: float) -> None:
-    """Draw a ΔE map on the scale from 0 to `end`, with its colour bar in the axes `bar`."""
-    # ΔE is averaged over the dots of a pixel, not its colours: then 256 colours do.
-    image = axes.imshow(delta_e, cmap="viridis", vmin=0, vmax=end, extent=where.extent_mm, interpolation_stage="data")
-    axes.figure.colorbar(image, cax=bar, label="ΔE", extend="max")
-    label_axes(axes, where)
 
 
 def label_axes(axes: Axes, where: PictureAxes) -> None:

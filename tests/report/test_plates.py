@@ -28,10 +28,10 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 import pixsim
 from pixsim.light.spectral import SpectralImage
 from pixsim.report.curve import delta_e_against_pitch
-from pixsim.report.paper import MAP_FIGURES, SCENE_FIGURES, figure_2a, figure_2b
+from pixsim.report.paper import SCENE_FIGURES, figure_2a, figure_2b, figure_6
 from pixsim.report.pictures import MAX_TICKS, picture_axes
+from pixsim.report.score import score_plate
 from pixsim.report.study import light_against_detail, optimum_against_technology, study_drawing, study_page
-from pixsim.report.views import map_end, study_pictures
 from pixsim.scene.charts import DIE_MM
 from pixsim.sensor.motion_options import Motion
 from pixsim.show.figures import ISO_SMOOTHING_DOTS, label_axes, new_figure, own_style, svg_text
@@ -69,14 +69,14 @@ def scaled(result: StudyResult) -> StudyResult:
 
 def every_plate(evidence: Evidence) -> dict[str, Plate]:
     result, curve = evidence.result, evidence.result.curves[0]
-    maps = size_maps(result, 7.0, curve.technology, 2)
+    score = size_maps(result, 8.0, curve.technology, 2).score
     plates = [
         *(draw(evidence.result) for draw in SCENE_FIGURES),
-        *(draw(evidence) for draw in MAP_FIGURES),
+        figure_6(evidence),
         light_against_detail(result, evidence.curves["0.35um"]),
         delta_e_against_pitch([curve]),
         delta_e_against_pitch(result.curves).named("delta_e_against_pitch_all"),
-        study_pictures(result, curve.label, maps, map_end(result)).named("pictures_0.35um"),
+        score_plate(score),
         optimum_against_technology(scaled(result)),
     ]
     return {plate.name: plate for plate in plates}
@@ -95,7 +95,7 @@ def saved(plates: dict[str, Plate]) -> dict[str, str]:
 
 def test_paper_plates_are_in_order(plates: dict[str, Plate]) -> None:
     numbered = [name for name in plates if name.startswith("figure_")]
-    assert [name.split("_")[1] for name in numbered] == ["2a", "2b", "4", "5", "6"]
+    assert [name.split("_")[1] for name in numbered] == ["2a", "2b", "6"]
     assert all(plates[name].caption.endswith(".") for name in numbered)
 
 
@@ -104,8 +104,8 @@ def test_paper_plates_are_in_order(plates: dict[str, Plate]) -> None:
 UNITS = ("_um", "_db", "_mm", "_lx_s", "_lp_per_mm", "_delta_e", "_um2")
 # Ratios, names and counts; frequencies in a column's name are with their unit.
 WITHOUT_UNIT = re.compile(
-    r"technology|row|rows|columns|illuminance_lx_column_\d+|delta_e_column_\d+|sensor|contrast|fill_factor|frequency_over_6um_nyquist|optimum_features|mtf_\d+um|"
-    r"(delta_e|contrast|[a-z]+_mtf)_at_[\d.]+_lp_per_mm|illuminance_lx_row_\d+"
+    r"technology|row|rows|columns|delta_e_column_\d+|sensor|contrast|fill_factor|frequency_over_6um_nyquist|"
+    r"optimum_features|mtf_\d+um|(delta_e|contrast|[a-z]+_mtf)_at_[\d.]+_lp_per_mm"
 )
 
 
@@ -180,11 +180,10 @@ def test_light_against_detail_one_to_one_has_no_display_terms(tiny_result: Study
     np.testing.assert_allclose(column(plate, "shown_mtf50_lp_per_mm"), column(plate, "mtf50_lp_per_mm"), rtol=1e-12)
 
 
-@pytest.mark.parametrize(("name", "cells"), [("figure_4_scene", (64, 64)), ("figure_5_pictures_8um", (64, 64))])
-def test_coarse_table_conserves_mean(name: str, cells: tuple[int, int], plates: dict[str, Plate], evidence: Evidence) -> None:
+def test_coarse_table_conserves_mean(plates: dict[str, Plate], evidence: Evidence) -> None:
     """Cells differ by a dot in their sides, so the sum is weighted by their sizes."""
-    picture = evidence.result.irradiance.illuminance_lx() if name == "figure_4_scene" else evidence.maps[8.0]
-    table = np.stack([column(plates[name], item) for item in plates[name].table][1:], axis=1)
+    plate, picture, cells = plates["delta_e"], evidence.sizes[8.0].score.delta_e, (64, 64)
+    table = np.stack([column(plate, item) for item in plate.table][1:], axis=1)
     assert table.shape == cells
     sizes = [
         [item.size for item in np.array_split(np.arange(dots), parts)] for dots, parts in zip(picture.shape, cells, strict=True)
@@ -369,7 +368,7 @@ import sys
 import joblib
 from pixsim.report.study import PictureTask, make_pictures
 result = joblib.load(sys.argv[1])
-for task in (PictureTask("0.35um", 0.0, 0), PictureTask("0.35um", 8.0, 8)):
+for task in (PictureTask("0.35um", 0.0), PictureTask("0.35um", 8.0)):
     make_pictures((0, task), result)
 print(*sorted({"matplotlib", "pandas", "mitsuba"} & set(sys.modules)))
 """
@@ -417,12 +416,12 @@ def test_svg_text_has_its_targets_and_images(saved: dict[str, str]) -> None:
             picture = imread(io.BytesIO(base64.b64decode("".join(data.split()), validate=True)), format=kind)
             assert min(picture.shape[:2]) > 1, name
             images += 1
-    assert images >= 8  # the scene, three pictures of either kind, the cells
+    assert images >= 3  # the ideal image, the sensor's and the ΔE map
 
 
 def test_figure_in_a_page_is_the_file_drawn(plates: dict[str, Plate]) -> None:
     """As a browser reads the attribute: the same elements, and pictures with the same pixels as Matplotlib writes."""
-    drawn = plates["pictures_0.35um"].drawn()
+    drawn = plates["delta_e"].drawn()
     attribute = html.unescape(str(drawn.image))
     assert '"' not in attribute
     text = unquote(attribute.partition(",")[2])
@@ -450,4 +449,6 @@ def test_plates_axes_have_labels(plates: dict[str, Plate]) -> None:
         for axes in plate.figure.axes:
             label = axes.get_xlabel() + axes.get_ylabel()
             assert label, name
-            assert any(unit in label for unit in ("µm", "mm", "dB", "ΔE", "lx", " over ", "(%)", "(max")), f"{name}: {label}"
+            assert any(unit in label for unit in ("µm", "mm", "dB", "ΔE", "lx", " over ", "(%)", "(max", "dots")), (
+                f"{name}: {label}"
+            )

@@ -60,5 +60,5 @@ def comparison_files(
         with output_folder(folder):
             result = run_prepared(job, jobs=jobs, scheduler=scheduler, progress=progress, agreed=agreed, out=folder)
             progress("report")
-            page = write(comparison_page(result, folder), folder, {"seconds": seconds}, figures)
+            page = write(comparison_page(result), folder, {"seconds": seconds}, figures)
             return comparison_document(result, notes), page  # other notes are on stderr
