@@ -1,9 +1,8 @@
-"""What a user should know of a pixel and of the light that it sees: units, focus, light beyond a table or infrared, scales."""
+"""What a user should know of a pixel and of the light that it sees: units, focus, light beyond a table, scales."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -17,17 +16,11 @@ from pixsim.optics.camera import Camera
 from pixsim.optics.lens_defocus import DEPTHS, signed_disc_um
 from pixsim.sensor.camera_data import has_common_scale
 from pixsim.sensor.collection import stack_notes
-from pixsim.sensor.colour_options import efficiencies_of
-from pixsim.sensor.integration import electrons_per_joule
 from pixsim.sensor.outside import CENTRES_NM, EDGES_NM, OUTSIDE, SHOWN_SHARE
 from pixsim.sensor.pixel import PixelPhysics
 from pixsim.sensor.unit_slips import unit_slips
 
 BLURRED_PIXELS = 2.0  # disc of a point in pixels, of which a note tells
-INFRARED_NM = 700.0  # beyond, a channel of a colour sensor sees nothing that the eye does
-USUAL_NM = 525.0  # at which data sheets state a quantum efficiency
-FLAT_CHANGE = 0.25  # of the electrons, by the curve of silicon in place of one number, of which a note tells
-INFRARED_SHARE = 0.05  # of a channel's signal, of which a note tells
 
 
 def pixel_notes(physics: PixelPhysics, camera: Camera | None = None, irradiance: SpectralImage | None = None) -> list[Note]:
@@ -58,22 +51,6 @@ def pixel_notes(physics: PixelPhysics, camera: Camera | None = None, irradiance:
                 f"would come from there. Extend the table, or state a filter ({filter_nm})"
             )
             notes.append(Note("spectral_range", words=words))
-    change = flat_efficiency_change(irradiance, physics)
-    if abs(change) > FLAT_CHANGE:
-        stated = setting("pixel.quantum_efficiency_nm", USUAL_NM)
-        more = "more" if change > 0 else "fewer"
-        words = (
-            f"pixel.quantum_efficiency = {physics.pixel.quantum_efficiency:g} holds at every wavelength; if it was measured at "
-            f"{USUAL_NM:g} nm, the absorption of silicon would make {percent(abs(change))} {more} electrons of this light. State "
-            f"its wavelength ({stated}), or a table"
-        )
-        notes.append(Note("spectral_range", words=words))
-    shares = infrared_shares(irradiance, physics)
-    if max(shares.values(), default=0.0) > INFRARED_SHARE:
-        channels = ", ".join(f"{percent(share)} of {letter}" for letter, share in shares.items())
-        filter_nm = setting("pixel.infrared_cut_nm", 650.0)
-        words = f"infrared beyond {INFRARED_NM:g} nm is {channels}, which no eye sees: it is part of the colour error"
-        notes.append(Note("spectral_range", words=f"{words}. A filter keeps it out ({filter_nm})"))
     return notes
 
 
@@ -137,40 +114,6 @@ def share_beyond(curve: EfficiencyCurve, irradiance: SpectralImage, physics: Pix
     between = _share_above(low_nm, high_nm, end_nm) - _share_above(low_nm, high_nm, physics.infrared_cut_nm)
     beyond = photons @ (last * between)
     return float((beyond / np.maximum(seen + beyond, np.finfo(float).tiny)).max())
-
-
-def flat_efficiency_change(irradiance: SpectralImage, physics: PixelPhysics) -> float:
-    """Return how much silicon's curve would change the electrons of a number that holds at every wavelength, relative to them.
-
-    The curve is that of `absorbed_efficiency`, for a number of `USUAL_NM` and the usual depth. 0 for a pixel whose efficiency is
-    no such number, and without electrons.
-    """
-    pixel = physics.pixel
-    flat = isinstance(pixel.quantum_efficiency, float) and pixel.quantum_efficiency_nm is None
-    if not flat or efficiencies_of(pixel.colour):
-        return 0.0
-
-    def electrons(**efficiency: float | None) -> float:
-        sensor = replace(physics, pixel=pixel.model_copy(update=efficiency))
-        return float(electrons_per_joule(sensor, irradiance) @ irradiance.mean_spectrum())
-
-    # A half, which the usual depth allows: only the ratio counts.
-    flat_e = electrons(quantum_efficiency=0.5)
-    curved_e = electrons(quantum_efficiency=0.5, quantum_efficiency_nm=USUAL_NM, quantum_efficiency_depth_um=None)
-    return curved_e / flat_e - 1 if flat_e else 0.0
-
-
-def infrared_shares(irradiance: SpectralImage, physics: PixelPhysics) -> dict[str, float]:
-    """Return the share of each channel's electrons that light beyond 700 nm gives, 0 to 1; empty for grey sensors."""
-    nm, width_nm = irradiance.wavelength_nm, irradiance.band_width_nm
-    if physics.layout is None or physics.infrared_cut_nm <= INFRARED_NM or (nm + width_nm / 2).max() <= INFRARED_NM:
-        return {}
-    light, above = irradiance.mean_spectrum(), _share_above(nm - width_nm / 2, nm + width_nm / 2, INFRARED_NM)
-    shares = {}
-    for channel in physics.channels:
-        electrons = electrons_per_joule(channel, irradiance) * light
-        shares[channel.channel] = float((electrons * above).sum() / electrons.sum()) if electrons.any() else 0.0
-    return shares
 
 
 def _share_above(low_nm: Array, high_nm: Array, at_nm: float) -> Array:

@@ -10,43 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Literal
 
 from pixsim.base.arrays import Array
-from pixsim.base.errors import invalid
-from pixsim.sensor.mismatch import DarkSpread
-from pixsim.sensor.pixel import PixelPhysics
+
+if TYPE_CHECKING:
+    from pixsim.sensor.reading import Readout
 
 Along = Literal["pixel", "row", "column"]
-
-
-class NoisyReadout(Protocol):
-    """What the sources need of a `pixsim.sensor.reading.Readout`, whose own noise is their sum."""
-
-    @property
-    def exposures(self) -> int: ...
-
-    @property
-    def silent(self) -> tuple[str, ...]: ...
-
-    @property
-    def physics(self) -> PixelPhysics: ...
-
-    @property
-    def read_noise_at_gain_e(self) -> float: ...
-
-    @property
-    def prnu(self) -> float: ...
-
-    @property
-    def dark_spread(self) -> DarkSpread: ...
-
-    def with_physics(self, **numbers: Any) -> Self: ...
-
-    def with_silent(self, names: tuple[str, ...]) -> Self: ...
-
-
-R = TypeVar("R", bound=NoisyReadout)
 
 
 @dataclass(frozen=True)
@@ -60,36 +31,17 @@ class NoiseSource:
     grows_with : 'light' or 'dark' charge; empty: with neither
     is_rare : whether few sensors have it, so that lists leave it out where it is 0
     undrawn : of a pattern that grows, the reading of a pixel without the numbers from which `sample_sensor` draws its map
-
-    Raises PixsimError for a source that would stand in lists and closed forms, but in no frame.
     """
 
     name: str
-    deviation: Callable[[NoisyReadout], float]
+    deviation: Callable[[Readout], float]
     is_temporal: bool = False
     along: Along = "pixel"
     grows_with: Literal["", "light", "dark"] = ""
     is_rare: bool = False
     undrawn: Callable[[Any], Any] | None = field(default=None, compare=False)
 
-    def __post_init__(self) -> None:
-        kind = "temporal noise" if self.is_temporal else "a fixed pattern"
-        lines: Along = "row" if self.is_temporal else "column"
-        where = f"the noise source '{self.name}'"
-        if self.along not in ("pixel", lines):
-            allowed = f"{kind} of single pixels or along each {lines}"
-            raise invalid(where, f"{kind} along each {self.along}", allowed, "pixsim/sensor/readout.py draws no other.")
-        if not self.grows_with:
-            return
-        got = f"{kind} that grows with {self.grows_with} charge"
-        if self.is_temporal or self.along != "pixel":
-            allowed = "temporal noise that does not grow, or a fixed pattern of single pixels"
-            raise invalid(where, got, allowed, "docs/first_change.md lists what such a noise changes beside its line.")
-        if self.undrawn is None:
-            hint = "State in undrawn the Readout without the numbers that sample_sensor (pixsim/sensor/readout.py) draws from."
-            raise invalid(where, f"{got}, without a map", "one with a map", hint)
-
-    def of_frame(self, readout: NoisyReadout) -> float:
+    def of_frame(self, readout: Readout) -> float:
         """Return the deviation in a frame, which may be the sum of several exposures.
 
         What is another value in each adds up by squares, what is the same in each by itself; what grows with the charge of all
@@ -117,14 +69,14 @@ SOURCES = (
 )
 
 
-def chosen(readout: NoisyReadout, is_temporal: bool | None, along: Along | None) -> list[NoiseSource]:
+def chosen(readout: Readout, is_temporal: bool | None, along: Along | None) -> list[NoiseSource]:
     """Return the sources of a readout that are temporal or fixed, and shared in that way; None for both, and for any way."""
     own = [each for each in SOURCES if each.name not in readout.silent]
     own = [each for each in own if is_temporal is None or each.is_temporal == is_temporal]
     return [each for each in own if along is None or each.along == along]
 
 
-def constant_e(readout: NoisyReadout, *, is_temporal: bool | None = None, along: Along | None = None) -> float:
+def constant_e(readout: Readout, *, is_temporal: bool | None = None, along: Along | None = None) -> float:
     """Return the standard deviation of all sources together that grow neither with light nor with dark charge, in electrons.
 
     is_temporal, along : of which sources; None means all
@@ -140,7 +92,7 @@ def constant_e(readout: NoisyReadout, *, is_temporal: bool | None = None, along:
 
 
 def variance_e2(
-    readout: NoisyReadout,
+    readout: Readout,
     start: Array | float = 0.0,
     *,
     light_e: Array | float = 0.0,
@@ -160,18 +112,18 @@ def variance_e2(
     return start
 
 
-def variances_e2(readout: NoisyReadout, *, light_e: Array | float = 0.0, dark_e: float = 0.0) -> dict[str, Array | float]:
+def variances_e2(readout: Readout, *, light_e: Array | float = 0.0, dark_e: float = 0.0) -> dict[str, Array | float]:
     """Return the terms of `variance_e2` by the names of their sources."""
     others = {each: tuple(other.name for other in SOURCES if other is not each) for each in chosen(readout, None, None)}
     alone = {each.name: readout.with_silent(names) for each, names in others.items()}
     return {name: variance_e2(only, light_e=light_e, dark_e=dark_e) for name, only in alone.items()}
 
 
-def without_source(readout: R, name: str) -> R:
+def without_source(readout: Readout, name: str) -> Readout:
     """Return a readout without one of the `SOURCES`, by its name; all others are drawn as before, but for their random numbers."""
     (source,) = (each for each in SOURCES if each.name == name)
     silent = readout.with_silent((*readout.silent, name))
-    undrawn: R = silent if source.undrawn is None else source.undrawn(silent)
+    undrawn: Readout = silent if source.undrawn is None else source.undrawn(silent)
     return undrawn
 
 

@@ -17,9 +17,8 @@ from numpy.typing import ArrayLike
 
 from pixsim.base.arrays import Array, PositiveArray, Positives
 from pixsim.base.bounds import NotNegative, Positive, Whole, check_broadcast
-from pixsim.base.digits import rounded
 from pixsim.base.door import checked_methods
-from pixsim.base.errors import PixsimError, did_you_mean, invalid
+from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.records import UnitInterval, content_hash
 from pixsim.light.curves import EfficiencyCurve
 from pixsim.light.quantities import MIN_FRACTION
@@ -29,16 +28,7 @@ from pixsim.sensor.colour import Layout, channel_efficiency
 from pixsim.sensor.colour_options import channels_of, efficiencies_of
 from pixsim.sensor.diffusion import ABSORPTION_RANGE_NM, SILICON_K, absorption_per_um
 from pixsim.sensor.mismatch import E_PER_FC, ELECTRON_C, dark_current_of_geometry_e_per_s, follower_offset_e, prnu_of_area
-from pixsim.sensor.pixel_options import (
-    ABSOLUTE_ZERO_C,
-    BORDER_PIXELS,
-    DATA_SHEET,
-    NO_TECHNOLOGY,
-    NUMBERS,
-    STANDS_FOR,
-    Pixel,
-    PixelOptions,
-)
+from pixsim.sensor.pixel_options import ABSOLUTE_ZERO_C, BORDER_PIXELS, NO_TECHNOLOGY, STANDS_FOR, Pixel, PixelOptions
 from pixsim.sensor.quantities import WELL_RANGE_E, AbsorbedWavelength, AbsorptionDepth, HotMedian, HotSpread
 from pixsim.sensor.saturation import full_well_for_e
 from pixsim.sensor.stack_options import StackOptions, stack_excluded_by
@@ -99,15 +89,6 @@ class Diode:
     reset_voltage_v: float
     saturation_current_e_per_s: float
     temperature_k: float
-
-    def __post_init__(self) -> None:
-        """Raise PixsimError if a number is not finite or has the wrong sign."""
-        for name, value in vars(self).items():
-            positive = name in ("pb_v", "pbsw_v", "reset_voltage_v", "temperature_k")
-            if not math.isfinite(value) or value < 0 or (positive and value == 0):
-                raise invalid(f"diode {name}", value, "finite and above 0" if positive else "finite and not below 0")
-        if max(self.mj, self.mjsw) >= 1 or self.capacitance_ff(0.0) <= 0:
-            raise invalid("diode", self, "grading coefficients below 1, and some capacitance")
 
     @property
     def thermal_v(self) -> float:
@@ -604,11 +585,7 @@ class PixelPhysics:
         """Return a number that pixels and technologies may state: the pixel's own, or that of its technology, in its unit.
 
         quantity : name of a field of `PixelOptions` that a technology may have, too
-
-        Raises PixsimError for another name.
         """
-        if quantity not in NUMBERS:
-            raise invalid("quantity", f"'{quantity}'", f"one of {', '.join(NUMBERS)}", did_you_mean(quantity, NUMBERS))
         return number_of(self.pixel, self.technology, quantity)
 
     def _uncut_quantum_efficiency(self, wavelength_nm: Array) -> Array:
@@ -652,18 +629,6 @@ class PixelPhysics:
         return self._uncut_quantum_efficiency(wavelength_nm) * below
 
 
-def incomplete_sheet(pixel: Pixel, technology: Technology) -> PixsimError:
-    """The error of a data sheet that lacks numbers, for a pixel that the assumed technology cannot have instead."""
-    missing = pixel.assumed
-    named = ", ".join(missing)
-    hint = (
-        f"Give {named}, and the pixel needs no technology; the assumed one, {technology.name}, has pixels above "
-        f"{smallest_pitch_um(technology):.4g} µm only. Or choose a technology, as 4t-bsi."
-    )
-    allowed = f"all of pitch_um, {', '.join(DATA_SHEET)}, under any of their words, or a technology"
-    return invalid("pixel", f"a data sheet without {named}", allowed, hint)
-
-
 def growth_from_data_sheet(pixel: Pixel, technology: Technology, area_um2: Positive, full_well_e: Positive | None = None) -> float:
     """Return the photodiode area relative to that of the measured pixel; 1 if the measured pitch is not given.
 
@@ -676,8 +641,6 @@ def growth_from_data_sheet(pixel: Pixel, technology: Technology, area_um2: Posit
         return 1.0
     fill_factor = pixel.fill_factor or float(fill_factor_law(measured_um, technology))
     if fill_factor < MIN_FRACTION:
-        if 0 < len(pixel.assumed) < len(DATA_SHEET):
-            raise incomplete_sheet(pixel, technology)
         allowed = f"above {smallest_pitch_um(technology):.4g} µm, where the transistors of {technology.name} fill the pixel"
         raise invalid("pixel.data_sheet_pitch_um", f"{measured_um:g}", allowed)
     growth = area_um2 / (fill_factor * measured_um**2)
@@ -772,11 +735,6 @@ def offset_share(pixel: Pixel, technology: Technology, process_well: Well) -> fl
         hint = "Give dsnu_e or offset_fpn in their place, or a technology with a junction."
         raise invalid(f"{place}a_vt_mv_um", f"{kind}, whose node capacitance is unknown", "a 3T pixel", hint)
     share = follower_offset_e(a_vt_mv_um, gate_um2, process_well.mean_ff) / process_well.full_well_e
-    if share > 1:
-        swing_v = process_well.full_well_e / (E_PER_FC * process_well.mean_ff)
-        got = f"{a_vt_mv_um:g}, which is {share * swing_v:.3g} V for a gate of {gate_um2:g} µm²"
-        hint = f"Give a gate (follower_area_um2) of at least {rounded(gate_um2 * share**2, 3)} µm²."
-        raise invalid(f"{place}a_vt_mv_um", got, f"at most the swing of the pixel, {swing_v:.3g} V", hint)
     return share
 
 
@@ -896,8 +854,6 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
         usual = min(0.05, technology.fill_factor_limit / 2)
         allowed = f"above {smallest_pitch_um(technology):.4g} µm, where the transistors of {technology.name} fill the pixel"
         hint = f"{100 * usual:.3g} % fill factor is reached at {pitch_for_fill_factor_um(usual, technology):.4g} µm."
-        if 0 < len(pixel.assumed) < len(DATA_SHEET):
-            raise incomplete_sheet(pixel, technology)
         if missing := ", ".join(pixel.assumed):
             hint = f"No technology was chosen: the default would supply {missing}. Give {missing}, and the pixel needs none. {hint}"
         raise invalid("pixel.pitch_um", f"{pixel.pitch_um:g}", allowed, hint)

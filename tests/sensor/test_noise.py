@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import pixsim
-from pixsim.base.errors import PixsimError
 from pixsim.measure.datasheet import make_datasheet
 from pixsim.measure.experiment import SHAPE
 from pixsim.sensor.correction import residual_variance_e2
@@ -98,21 +97,6 @@ def test_a_new_source_is_drawn_as_closed_forms_have_it(is_temporal: bool, along:
     first, second = (each.mean(axis={"row": 1, "column": 0}[along]) if along != "pixel" else each.ravel() for each in noise_e)
     assert within(first**2, 900.0 + alone_e2 / (1 if along == "pixel" else COLUMNS))
     assert within(first * second, 0.0 if is_temporal else 900.0)
-
-
-@pytest.mark.parametrize(
-    ("kind", "message"),
-    [
-        ({"is_temporal": True, "grows_with": "light"}, "temporal noise that grows with light charge; allowed: temporal noise that"),
-        ({"grows_with": "dark"}, "a fixed pattern that grows with dark charge, without a map.*undrawn"),
-        ({"grows_with": "light", "along": "column", "undrawn": lambda p: p}, "a fixed pattern of single pixels"),
-        ({"along": "row"}, "got a fixed pattern along each row; allowed: a fixed pattern of single pixels or along each column"),
-        ({"is_temporal": True, "along": "column"}, "got temporal noise along each column; allowed: .* or along each row"),
-    ],
-)
-def test_a_source_that_no_frame_would_have_is_refused(kind: dict[str, Any], message: str) -> None:
-    with pytest.raises(PixsimError, match=f"the noise source 'transfer noise': .*{message}"):
-        NoiseSource("transfer noise", lambda _: 1.0, **kind)
 
 
 def residual_e2(readout: Readout) -> float:

@@ -552,7 +552,6 @@ def test_derive_pixel_replaces_mismatch_of_technology() -> None:
         ({"prnu_um": 2.0}, r"pixel\.prnu_um: got 2, .* PRNU of 0\.55\d at 6\.5 µm .* at most 0\.3\. Give at most 1\.09, or"),
         ({"a_vt_mv_um": 8.0}, r"pixel\.a_vt_mv_um: got no follower_area_um2 beside it"),
         ({"follower_area_um2": 0.5}, r"pixel\.follower_area_um2: got no a_vt_mv_um beside it.*Or give offset_fpn"),
-        ({"a_vt_mv_um": 1e5, "follower_area_um2": 1}, r"got 100000, which is 100 V .*1\.2 V\. Give a gate .* of at least 6940"),
         ({"a_vt_mv_um": 8, "follower_area_um2": 1, "technology": "4t-bsi"}, r"pinned photodiode of 4t-bsi, .*Give dsnu_e or"),
         (SHEET | {"a_vt_mv_um": 8, "follower_area_um2": 1}, r"got a data sheet, whose node capacitance is unknown.*Give dsnu_e or"),
         ({"hot_pixel_fraction": 1.5}, "hot_pixel_fraction: got 1.5; allowed: less than or equal to 1"),
