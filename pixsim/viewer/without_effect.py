@@ -23,7 +23,7 @@ from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError
 from pixsim.base.notes import Note, warn, without_warnings
 from pixsim.base.records import Record
-from pixsim.light.spectral import DIFFUSER, DIFFUSER_W, HIGH_NM, LOW_NM, SpectralImage
+from pixsim.light.spectral import HIGH_NM, LOW_NM, SpectralImage
 from pixsim.optics.lens_options import OF_ANY_LENS
 from pixsim.sensor.correction import residual_variance_e2
 from pixsim.sensor.integration import ChannelLight, array_size_um, collecting_area_um2, electrons_per_joule, lights_of
@@ -37,14 +37,13 @@ from pixsim.sensor.technology import load_technology
 from pixsim.viewer import display as displays
 from pixsim.viewer.chain import ImagingChain, make_chain
 from pixsim.viewer.dark_clip import dark_clip
-from pixsim.viewer.display_options import Display
 from pixsim.viewer.frame_under_test import FrameUnderTest
 from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.metric_options import has_target
 from pixsim.viewer.metrics import Metric, NoNumberError
 from pixsim.viewer.raw_metrics import DETECTABILITY
 from pixsim.viewer.scene_light import PreparedScene, SceneLight, prepare_scene
-from pixsim.viewer.screen import HEADER_OF_WHITE, amount_of_white, white_field, white_header, with_white
+from pixsim.viewer.screen import HEADER_OF_WHITE, amount_of_white, white_field
 from pixsim.viewer.setting import Setting
 
 RESOLVED = 1e-3  # of the smallest difference that a result resolves: the scatter of a frame, a code of the display
@@ -54,7 +53,7 @@ MIN_ASPECT, MAX_ASPECT = 0.5, 2.0  # of the small light
 DOTS = 16  # of the display across it
 BAND_NM = 40.0
 WHITE_OVER_LIGHT = 1.1  # so that no dot of the ideal picture is brighter than display white
-OTHER_WHITE = 1.25  # the white of the small light over the one that is stated
+NO_WHITE: dict[str, float | None] = dict.fromkeys(("white", *HEADER_OF_WHITE))
 # Of the longest time of an automatic exposure: no whole number of periods of lamps, and below it.
 PART_OF_LONGEST = (math.sqrt(5) - 1) / 2
 PART_OF_WELL, MIN_PART_OF_WELL = 0.5, 0.1  # of what dark charge leaves, of the brightest pixel
@@ -146,14 +145,14 @@ class SmallLight:
     background : the same without the target
     imaging : the settings for which it was made
     scale : (height, width) of the small light over the picture's
-    white : that the display shows as its white, in cd/m², or in W m⁻² sr⁻¹ of light that nobody sees
+    white : fields of a display that state its white
     """
 
     light: SpectralImage
     background: SpectralImage
     imaging: Imaging
     scale: tuple[float, float]
-    white: dict[str, float]
+    white: dict[str, float | None]
     _lights: dict[object, tuple[ChannelLight, ...]] = field(default_factory=dict, init=False, repr=False)
     _prepared: dict[object, PreparedScene] = field(default_factory=dict, init=False, repr=False)
 
@@ -180,17 +179,14 @@ class SmallLight:
         spectra = np.stack([600 / bands[0], bands[0] / 600])
         with_target, background = (np.stack(planes).astype(np.float32) for planes in _pictures(rows))
 
-        def light(planes: NDArray[Any], brightness: float, white: dict[str, Any]) -> SpectralImage:
-            return SpectralImage(*bands, sample_um, factors=(brightness * spectra, planes), header=header | white)
+        def light(planes: NDArray[Any], brightness: float) -> SpectralImage:
+            return SpectralImage(*bands, sample_um, factors=(brightness * spectra, planes), header=header)
 
-        unit = light(with_target, 1.0, {})
-        small = cls(unit, unit, imaging, scale, {})
+        unit = light(with_target, 1.0)
+        small = cls(unit, unit, imaging, scale, dict(NO_WHITE))
         brightness = small._brightness(small.seen(imaging))
-        lit = replace(small, light=light(with_target, brightness, {}))
-        white = lit._white(lit.seen(imaging))
-        entries = lit._white_entries(white, imaging.display)
-        shown = light(with_target, brightness, entries)
-        return replace(lit, light=shown, background=light(background, brightness, entries), white=white)
+        lit = replace(small, light=light(with_target, brightness), background=light(background, brightness))
+        return replace(lit, white=lit._white(lit.seen(imaging)))
 
     def _brightness(self, imaging: Imaging) -> float:
         """Return by what the light is multiplied so that no pixel is full, and automatic exposures are long."""
@@ -219,27 +215,9 @@ class SmallLight:
         light_e = max(well_e - readout.dark_current_e_per_s * time_s, MIN_PART_OF_WELL * well_e)
         return light_e / time_s / of_unit_e_per_s
 
-    def _white(self, imaging: Imaging) -> dict[str, float]:
-        """Return the white by the field of a display that states it, also of the other kind where a display may state it."""
-        display = imaging.display.model_copy(update=dict.fromkeys(("white", *HEADER_OF_WHITE)))
-        name = white_field(self.light)
-        white = {name: WHITE_OVER_LIGHT * float(amount_of_white(imaging.changed(display=display), self.light).max())}
-        if name == "white_cd_per_m2" and imaging.display.white_w_per_m2_sr is not None:  # which stands in place of a luminance
-            radiance = "white_w_per_m2_sr"
-            units = [imaging.changed(display=display.model_copy(update={kind: 1.0})) for kind in (name, radiance)]
-            rates = [displays.white_rate(unit, self.light, imaging.physics.channels[0]) for unit in units]
-            white[radiance] = white[name] * rates[0] / rates[1]
-        return white
-
-    def _white_entries(self, white: dict[str, float], display: Display) -> dict[str, Any]:
-        """Return entries of a header: another white than a display may state, and what a white plate shows."""
-        (name, value), *_ = white.items()
-        entries: dict[str, Any] = {HEADER_OF_WHITE[name]: OTHER_WHITE * value}
-        if display.white == "diffuser":
-            weight = self.light.luminous_weight() if name == "white_cd_per_m2" else self.light.band_width_nm
-            per_nm = np.full(weight.shape, value / weight.sum() / display.diffuser_reflectance)
-            entries[DIFFUSER] = {DIFFUSER_W: per_nm.tolist(), "distance_m": 1.0}
-        return entries
+    def _white(self, imaging: Imaging) -> dict[str, float | None]:
+        """Return the fields of a display that state a white above all of the light."""
+        return NO_WHITE | {white_field(self.light): WHITE_OVER_LIGHT * float(amount_of_white(imaging, self.light).max())}
 
     def seen(self, imaging: Imaging) -> Imaging:
         """Return settings for the small light: the camera scaled with its die, few dots, and the white in its unit."""
@@ -257,11 +235,9 @@ class SmallLight:
         if "matrix" not in self.imaging.develop.model_fields_set:
             develop = develop.model_copy(update={"matrix": QUICK_MATRIX})
 
-        display = imaging.display
-        stated = {name: value for name, value in self.white.items() if getattr(display, name) is not None}
-        display = display.model_copy(update={"dots": DOTS, **stated})
+        display = imaging.display.model_copy(update={"dots": DOTS, **self.white})
         motion = Motion(image_um_per_s=imaging.um_per_s) if imaging.motion.is_on else imaging.motion
-        seen = imaging.changed(
+        return imaging.changed(
             camera=camera,
             develop=develop,
             display=display,
@@ -270,7 +246,6 @@ class SmallLight:
             single=False,
             is_run=False,
         )
-        return seen.changed(display=with_white(display, white_header([(seen, self.light)]))) if self.white else seen
 
     def _seen_from(self, imaging: Imaging) -> tuple[object, ...]:
         """Return what the light behind the lens depends on."""
@@ -625,6 +600,8 @@ ROWS = (
     Row(("exposure.max_integration_s",), lambda given, _: given.imaging.exposure.integration_s is None or None),
     Row(("motion",), _moves),
     # It has few dots, always as many, and few pixels, perhaps none of them hot.
+    Row(("display.diffuser_reflectance",), lambda given, _: given.imaging.display.white == "diffuser"),
+    Row(tuple(f"display.{name}" for name in NO_WHITE), lambda given, _: True),  # it has a white of its own
     Row(("display.dots",), lambda given, _: given.imaging.display.raster == "fixed_size"),
     Row(("correction.defects",), lambda given, _: True),
 )
