@@ -24,11 +24,13 @@ import numpy as np
 import pytest
 from helpers.chains import imaging
 from helpers.public_names import PUBLIC
+from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel
 from typing_extensions import TypeAliasType
 
 import pixsim
 from pixsim.base import door
+from pixsim.base.arrays import Finites
 from pixsim.base.bounds import without_bounds
 from pixsim.base.errors import PixsimError
 from pixsim.base.result import Result
@@ -114,7 +116,8 @@ GOOD: dict[str, Any] = {
     "readout": READOUT, "imaging": imaging(CAMERA, PIXEL, EXPOSURE, DISPLAY),
     "technology": TECHNOLOGY, "frame": FRAME, "kind": "flat", "texels": np.ones((2, 2), np.float32), "scene": scene,
     "reference_xyz": XYZ, "test_xyz": XYZ, "white_xyz": [95.0, 100.0, 108.0], "samples_per_deg": 23.0, "xyz": XYZ,
-    "reference_lab": XYZ, "lab_reference": XYZ, "lab_test": XYZ, "luminance": PLANE, "picture": PLANE, "weight": np.ones(3),
+    "reference_lab": XYZ, "lab_reference": XYZ, "lab_test": XYZ, "luminance": PLANE, "picture": PLANE.copy,
+    "weight": np.ones(3),
     "f_number": 4.0, "tan_field": 0.1, "shape": (4, 4), "image_distance_mm": 4.0, "magnification": 0.1, "side_um": 5.0,
     "frequency_cy_per_mm": np.array([1.0, 2.0, 3.0]), "pictures": lambda: [(PLANE, np.ones(3))], "photocurrent_e_per_s": 100.0,
     "integration_s": 0.01, "total_e_per_s": np.ones(3), "diode": lambda: pixsim.photodiode.diode_of(PIXEL),
@@ -414,6 +417,41 @@ def test_a_part_at_fault_is_named_by_its_place(arguments: dict[str, Any], said: 
     """Also one whose name begins as pydantic's names of kinds do; an array without axes is no list."""
     with pytest.raises(pixsim.PixsimError, match=re.escape(said)):
         pixsim.study("chen2000", tmp_path / "out", **arguments)
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "said"),
+    [
+        (ArrayLike, True, "got True; allowed: numbers"),
+        (ArrayLike, [1.0, [True]], "got [1.0, [True]]; allowed: numbers"),
+        (ArrayLike, np.array([True, False]), "got an array of bool, shape (2,); allowed: numbers"),
+        (Finites, [1.0, np.ma.masked], "got masked values; allowed: numbers from -1e+30 to 1e+30; fill them"),
+        (Finites, [np.ma.array([1.0, 2.0], mask=[True, False])], "got masked values"),
+        (Finites, [1.0, 1e31], "got 1e+31 at [1]; allowed: numbers from -1e+30 to 1e+30"),
+        (Finites, -1e31, "got -1e+31; allowed: numbers from -1e+30 to 1e+30"),
+        (Finites, [1.0, math.nan], "got nan at [1]; allowed: numbers from -1e+30 to 1e+30"),
+        (float, -1e31, "got -1e+31; allowed: a number from -1e+30 to 1e+30"),
+        (float, -1e-31, "got -1e-31; allowed: a number from -1e+30 to 1e+30, 0 or 1e-30 or more in size"),
+        (int, 10**31, "got 10000000000000000000000000000000; allowed: a whole number from -1e+30 to 1e+30"),
+    ],
+)
+def test_numbers_that_no_quantity_has_are_refused(kind: Any, values: Any, said: str) -> None:
+    def value_of(light: Any) -> Any:
+        return light
+
+    value_of.__annotations__ = {"light": kind}
+    with pytest.raises(PixsimError, match=f"^light: {re.escape(said)}"):
+        door.checked(value_of, "pixsim.value_of")(values)
+
+
+def test_numbers_at_the_ends_are_taken() -> None:
+    """Those of arrays may be however small: tails of a blur, and faint light."""
+
+    def value_of(light: Finites, gain: float, full: NDArray[np.bool_]) -> Any:
+        return light, gain, full
+
+    light, gain, full = door.checked(value_of, "pixsim.value_of")([1e30, 1e-40, np.ma.array([2.0], mask=[False])[0]], 1e-30, [True])
+    assert (light.tolist(), gain, full.tolist()) == ([1e30, 1e-40, 2.0], 1e-30, [True])
 
 
 def test_arrays_are_known_by_their_aliases(monkeypatch: pytest.MonkeyPatch) -> None:

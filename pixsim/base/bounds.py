@@ -16,45 +16,41 @@ from pixsim.base.errors import invalid
 MAX_SHOWN = 80  # characters of a value in a message
 
 
+SMALLEST = 1e-30  # of any number but 0: below 2e-308 operations take very long, and ratios of smaller ones overflow
+LARGEST = 1e30  # of any number: no quantity reaches it in any unit, and the square of it is one still
+
+
 @dataclass(frozen=True)
 class Bounds:
-    """Range of a quantity; above 0 is `SMALLEST` or more.
+    """Range of a quantity with its ends; a low end of `SMALLEST` stands for "above 0".
 
+    open_high : the high end itself is not allowed
     unknown : NaN is allowed, for a number that was not counted
     """
 
-    low: float = -math.inf
-    high: float = math.inf
-    open_low: bool = False
+    low: float = -LARGEST
+    high: float = LARGEST
     open_high: bool = False
-    infinite: bool = False
     unknown: bool = False
 
     def of(self, what: str) -> str:
         """The allowed values of `what`, such as "number", for a message."""
-        finite = "" if self.infinite or self.high < math.inf else "finite "
-        high = f"{'below ' * self.open_high}{self.high:g}"
         if self.low == -math.inf:
-            return f"{finite}{what}" if finite else f"{what}, not NaN"
-        if self.high < math.inf:
-            return f"{what} {'above' if self.open_low else 'from'} {self.low:g} to {high}"
-        least = f" ({SMALLEST:g} or more)" * (self.open_low and not self.low)
-        return f"{finite}{what} {'above' if self.open_low else 'not below'} {self.low:g}{least}"
+            return f"{what}, not NaN"
+        start = f"above 0 ({SMALLEST:g} or more)" if self.low == SMALLEST else f"from {self.low:g}"
+        return f"{what} {start} to {'below ' * self.open_high}{self.high:g}"
 
     def hold(self, low: float, high: float) -> bool:
         """Whether numbers from `low` to `high` are within."""
         if math.isnan(low):
             return self.unknown
-        above = low >= max(self.low, SMALLEST) and low > self.low if self.open_low else low >= self.low
-        below = high < self.high if self.open_high else high <= self.high
-        return bool(above and below and (self.infinite or (math.isfinite(low) and math.isfinite(high))))
+        return bool(low >= self.low and (high < self.high if self.open_high else high <= self.high))
 
 
-SMALLEST = 1e-30  # of any number but 0: below 2e-308 operations take very long, and ratios of smaller ones overflow
-LARGEST = 1e30  # of any number: no quantity reaches it in any unit, and the square of it is one still
 FINITE = Bounds()
-INFINITE_TOO = Bounds(infinite=True)
-POSITIVE = Bounds(0, open_low=True)
+INFINITE_TOO = Bounds(-math.inf, math.inf)
+POSITIVE = Bounds(SMALLEST)
+POSITIVE_OR_INFINITE = Bounds(SMALLEST, math.inf)
 NOT_NEGATIVE = Bounds(0)
 
 
@@ -87,12 +83,15 @@ def field_bounds(stated: Sequence[object]) -> Bounds | None:
     """The bounds that parts of an annotation state; None if they state none."""
     from pydantic.fields import FieldInfo
 
-    fields = [part for each in stated if isinstance(each, FieldInfo) for part in each.metadata]
-    found = {name: getattr(part, name) for part in fields for name in ("ge", "gt", "le", "lt") if hasattr(part, name)}
-    if not found:
-        return next((each for each in stated if isinstance(each, Bounds)), None)
-    low, high = found.get("ge", found.get("gt", -math.inf)), found.get("le", found.get("lt", math.inf))
-    return Bounds(low, high, open_low="gt" in found, open_high="lt" in found)
+    parts = [part for field in stated if isinstance(field, FieldInfo) for part in field.metadata]
+    limits = {name: getattr(part, name) for part in parts for name in ("ge", "gt", "le", "lt") if hasattr(part, name)}
+    if not limits:
+        return next((part for part in stated if isinstance(part, Bounds)), None)
+
+    low, high = limits.get("ge", -LARGEST), limits.get("le", LARGEST)
+    if "gt" in limits:
+        low = limits["gt"] or SMALLEST
+    return Bounds(low, limits.get("lt", high), open_high="lt" in limits)
 
 
 def without_bounds(annotation: str, owner: Any) -> str:

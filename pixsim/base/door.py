@@ -11,7 +11,7 @@ import math
 import numbers
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache, wraps
 from types import ModuleType, NoneType, UnionType
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -218,6 +218,8 @@ def _number_of(kind: type, bounds: Bounds) -> Callable[[Any], Any]:
             size = math.inf
         if not bounds.hold(size, size):
             raise _refusal(brief(value), allowed)
+        if 0 < abs(size) < SMALLEST:
+            raise _refusal(brief(value), f"{allowed}, 0 or {SMALLEST:g} or more in size")
         return plain
 
     return number
@@ -226,12 +228,16 @@ def _number_of(kind: type, bounds: Bounds) -> Callable[[Any], Any]:
 def _array_of(bounds: Bounds | None, axes: int | None, dtype: Any, *, is_array: bool) -> Callable[[Any], Any]:
     import numpy as np
 
-    allowed = f"{'an array of ' if is_array else ''}{bounds.of('numbers') if bounds else 'real numbers'}"
+    allowed = f"{'an array of ' if is_array else ''}{bounds.of('numbers') if bounds else 'numbers'}"
+    takes_bool = dtype in (np.bool_, Any)
     shaped = f"{allowed}, not empty, with {axes} {'axis' if axes == 1 else 'axes'}"
 
     def array(value: Any) -> Any:
-        if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
+        parts = list(_parts(value))
+        if any(np.ma.is_masked(part) for part in parts):
             raise _refusal("masked values", f"{allowed}; fill them")
+        if not takes_bool and any(_is_bool(part) for part in parts):
+            raise _refusal(brief(value), allowed)
         try:
             values = np.asarray(value)
             if values.dtype.kind == "O" and all(isinstance(part, numbers.Real) for part in values.flat):
@@ -243,7 +249,8 @@ def _array_of(bounds: Bounds | None, axes: int | None, dtype: Any, *, is_array: 
         if is_array and axes and (values.ndim != axes or not values.size):
             raise _refusal(f"an array of shape {values.shape}", shaped)
         if bounds and values.size and not bounds.hold(values.min(), values.max()):  # min propagates NaN
-            place = np.unravel_index(np.argmin(_within(values, bounds)), values.shape)
+            within = (values >= bounds.low) & (values < bounds.high if bounds.open_high else values <= bounds.high)
+            place = np.unravel_index(np.argmin(within), values.shape)
             where = f" at {[int(index) for index in place]}" if values.ndim else ""
             raise _refusal(f"{values[place]}{where}", allowed)
         is_float = dtype in (np.float64, np.float32)
@@ -252,16 +259,22 @@ def _array_of(bounds: Bounds | None, axes: int | None, dtype: Any, *, is_array: 
     return array
 
 
-def _within(values: Any, bounds: Bounds) -> Any:
-    import numpy as np
+def _parts(value: Any) -> Iterator[Any]:
+    """Yield the numbers and arrays of nested lists; what is no list is one."""
+    if isinstance(value, list | tuple):
+        for part in value:
+            yield from _parts(part)
+    else:
+        yield value
 
-    finite = ~np.isnan(values) if bounds.infinite else np.isfinite(values)
-    above = (values > bounds.low) & (values >= SMALLEST) if bounds.open_low else values >= bounds.low
-    return finite & above & (values < bounds.high if bounds.open_high else values <= bounds.high)
+
+def _is_bool(value: Any) -> bool:
+    """Return whether a value is True or False, or an array of them."""
+    return isinstance(value, bool) or getattr(getattr(value, "dtype", None), "kind", "") == "b"
 
 
 def _bool(value: Any) -> Any:
-    if type(value).__name__ not in ("bool", "bool_"):  # of NumPy, too
+    if not _is_bool(value) or getattr(value, "ndim", 0):
         raise _refusal(brief(value), "True or False")
     return value
 

@@ -116,6 +116,8 @@ def _test_render(limit_s: float) -> Diagnosis:
     facts = {**trial.facts, "seconds": trial.seconds}
     name = trial.facts.get("variant")
     if fault := trial.fault:
+        if trial.seconds >= limit_s:
+            fault = f"{fault}; a machine under load may need longer: --limit-s {3 * limit_s:g}"
         mend = None if "refused" in facts else "pip install --force-reinstall mitsuba drjit"  # a refusal says how to mend it
         if name != variant.SCALAR and attempt(variant.SCALAR, limit_s=limit_s).fault is None:
             mend = f"pixsim run csf --variant {variant.SCALAR}"

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from pixsim.base.bounds import Bounds
+from pixsim.base.bounds import POSITIVE_OR_INFINITE, SMALLEST, Bounds
 
 FocalLength = Annotated[float, Field(ge=1e-4, le=1e6)]  # 0.1 µm ... 1 km
 FNumber = Annotated[float, Field(ge=1e-6, le=1e6)]  # the lower limit depends on the magnification, up to `LARGEST_MAGNIFICATION`
@@ -15,7 +15,7 @@ Distance = Annotated[float, Field(ge=1e-6, le=1e18)]  # 1 µm ... 100 light year
 Reflectance = Annotated[float, Field(ge=0, lt=1)]
 OutsideLight = Annotated[float, Field(ge=0, le=1e6)]  # of that from within the field: from none to the sun beside a dark picture
 # Of functions alone.
-FNumberOrPinhole = Annotated[float, Bounds(0, open_low=True, infinite=True)]
-AnyDistance = Annotated[float, Bounds(0, open_low=True, infinite=True)]
+FNumberOrPinhole = Annotated[float, POSITIVE_OR_INFINITE]
+AnyDistance = Annotated[float, POSITIVE_OR_INFINITE]
 FieldOfView = Annotated[float, Field(ge=1e-9, le=180 - 1e-9)]
-UpToInfinity = Annotated[float, Bounds(0, 1e18, open_low=True)]
+UpToInfinity = Annotated[float, Bounds(SMALLEST, 1e18)]

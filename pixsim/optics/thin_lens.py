@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pixsim.base.arrays import Array, Finites, Numbers, strips
-from pixsim.base.bounds import Bounds, Count, Positive, brief, check_broadcast
+from pixsim.base.bounds import POSITIVE_OR_INFINITE, Count, Positive, brief, check_broadcast
 from pixsim.base.errors import invalid
 from pixsim.light.spectral import WHOLE
 from pixsim.optics.pupil import Pupil
 from pixsim.optics.quantities import FNumberOrPinhole
 
-FNumbers = Annotated[ArrayLike, Bounds(0, open_low=True, infinite=True)]  # infinite for a pinhole
+FNumbers = Annotated[ArrayLike, POSITIVE_OR_INFINITE]  # infinite for a pinhole
 
 
 def irradiance_factor(f_number: FNumbers, tan_field: Numbers, magnification: Finites = 0.0) -> Array:

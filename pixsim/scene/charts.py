@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pixsim.base import cache
 from pixsim.base.arrays import Array, UnitIntervals
-from pixsim.base.bounds import Axes, Bounds, brief
+from pixsim.base.bounds import SMALLEST, Axes, Bounds, brief
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.locks import temporary_folder_of_process
 from pixsim.base.records import UnitInterval, content_hash
@@ -26,7 +26,7 @@ from pixsim.optics.quantities import DieWidth
 from pixsim.scene.target import Target
 
 Side = Annotated[int, Bounds(1, 32768)]  # texels
-HighestFrequency = Annotated[float, Bounds(0, 1e6, open_low=True)]
+HighestFrequency = Annotated[float, Bounds(SMALLEST, 1e6)]
 Texels = Annotated[NDArray[np.float32], Axes(2)]
 KIND = "charts"  # of entries of the cache
 # Chen, Catrysse, El Gamal and Wandell (2000), sections 3 and 4.

@@ -120,12 +120,12 @@ def checked_as(hint: Any) -> Callable[[Any], Any]:
 def test_arguments_above_0_are_not_tiny(bounds: Any, value: float) -> None:
     """Also in arrays; 1e-30 is the smallest."""
     for kind, given in ((float, value), (ArrayLike, [1.0, value]), (tuple[float, float], (1.0, value))):
-        with pytest.raises(PixsimError, match=r"pitch_um.*: got .*allowed: .*a? ?finite number.* above 0 \(1e-30 or more\)"):
+        with pytest.raises(PixsimError, match=r"pitch_um.*: got .*allowed: .*number.* above 0 \(1e-30 or more\)"):
             checked_as(Annotated[kind, bounds])(given)
         checked_as(Annotated[kind, bounds])(1e-30 if kind is float else (1.0, 1e-30))
 
 
-@pytest.mark.parametrize("field", [Field(ge=2, le=3), Field(gt=1.5, lt=3.5), Field(ge=2, lt=3.5)])
+@pytest.mark.parametrize("field", [Field(ge=2, le=3), Field(gt=0, lt=3.5), Field(ge=2, lt=3.5)])
 def test_functions_share_the_bounds_of_records(field: Any) -> None:
     check = checked_as(Annotated[float, field])
     record = create_model("Shared", __base__=Record, number=(Annotated[float, field], 2.0))
@@ -137,7 +137,7 @@ def test_functions_share_the_bounds_of_records(field: Any) -> None:
             return True
         return False
 
-    for value in (1.5, 2.0, 2.5, 3.0, 3.5, math.nan):
+    for value in (0.0, 1.5, 2.0, 2.5, 3.0, 3.5, math.nan):
         assert refuses(partial(check, value)) == refuses(partial(record, number=value)), value
 
 

@@ -81,7 +81,7 @@ def test_filtered_grey_lab_matches_filtered_lab(filters, shape, samples_per_deg,
     [np.ones(3), np.ones((2, 2, 3)), np.ones((0, 4)), np.array([[1.0, np.nan]]), np.array([[np.inf, -np.inf], [0.0, 1.0]])],
 )
 def test_filtered_grey_lab_invalid_luminance_raises(luminance, single):
-    with pytest.raises(PixsimError, match=r"luminance: got .*; allowed: (\(H, W\), not empty|finite numbers)"):
+    with pytest.raises(PixsimError, match=r"luminance: got .*; allowed: (\(H, W\), not empty|.*numbers from)"):
         pixsim.scielab.filtered_grey_lab(luminance, single=single, **VIEW)
 
 
@@ -173,8 +173,8 @@ SPOILT[2, 3, 1] = np.nan
         ({"white_xyz": 100.0}, ["white_xyz", "100.0", "three"]),
         ({"samples_per_deg": 0}, ["samples_per_deg", "0", "above 0"]),
         ({"samples_per_deg": -23.0}, ["samples_per_deg", "-23.0"]),
-        ({"samples_per_deg": np.inf}, ["samples_per_deg", "inf", "finite"]),
-        ({"samples_per_deg": np.nan}, ["samples_per_deg", "nan", "finite"]),
+        ({"samples_per_deg": np.inf}, ["samples_per_deg", "inf", "to 1e+30"]),
+        ({"samples_per_deg": np.nan}, ["samples_per_deg", "nan", "to 1e+30"]),
         ({"filters": "isetcam"}, ["filters", "'isetcam'", "'published'", "'zhang1996'"]),
         ({"formula": 1976}, ["formula", "1976", "'1976'", "'1994'", "'2000'"]),
     ],

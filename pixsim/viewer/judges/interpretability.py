@@ -8,13 +8,13 @@ from typing import Annotated
 import numpy as np
 
 from pixsim.base.arrays import NotNegativeArray
-from pixsim.base.bounds import Bounds, Positive
+from pixsim.base.bounds import SMALLEST, Bounds, Positive
 from pixsim.viewer.judges.sharpness import Frequencies, curve_from_0
 
 M_PER_INCH = 0.0254
 MAX_RER = 10.0  # far above any: sharpened pictures of the fit reach 1.3
 
-EdgeResponse = Annotated[float, Bounds(0, MAX_RER, open_low=True)]
+EdgeResponse = Annotated[float, Bounds(SMALLEST, MAX_RER)]
 
 
 def niirs(rer: EdgeResponse, ground_m: Positive, snr: Positive) -> float:

@@ -24,14 +24,14 @@ from typing import Annotated
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.bounds import FINITE, LARGEST, NOT_NEGATIVE, Axes, Bounds, NotNegative
+from pixsim.base.bounds import FINITE, LARGEST, NOT_NEGATIVE, POSITIVE_OR_INFINITE, Axes, NotNegative
 from pixsim.base.errors import invalid
 
 STEPS_PER_OFFSET = 4  # of conjugate gradients, at most: in exact arithmetic one would do
 RESIDUAL = 1e-26  # of d′², at which they end; what is lost is of that order
 
 Difference = Annotated[Array, FINITE, Axes(2)]
-Variance = Annotated[Array, Bounds(0, open_low=True, infinite=True)]
+Variance = Annotated[Array, POSITIVE_OR_INFINITE]
 Slopes = Annotated[Array, NOT_NEGATIVE]
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from typing import Annotated
 
-from pixsim.base.bounds import Bounds, NotNegative, Positive
+from pixsim.base.bounds import POSITIVE_OR_INFINITE, SMALLEST, Bounds, NotNegative, Positive
 from pixsim.sensor.noise import signal_at_snr_e
 
-Reflectance = Annotated[float, Bounds(0, 1, open_low=True)]
-Saturation = Annotated[float, Bounds(0, open_low=True, infinite=True)]
+Reflectance = Annotated[float, Bounds(SMALLEST, 1)]
+Saturation = Annotated[float, POSITIVE_OR_INFINITE]
 
 
 def snr10_lx(
