@@ -130,9 +130,7 @@ def slanted_edge(width: Side = 1024, height: Side = 1024, dark: UnitInterval = 0
     first = np.searchsorted(x - 0.5, (0.5 - y) * slope, side="right").reshape(height, factor)
     ends, cover = factor * np.arange(1, width + 1), np.zeros((height, width))
     for row, starts in enumerate(first):
-        begin, beyond = starts.min() // factor, starts.max() // factor + 1  # the edge crosses the texels between
-        cover[row, begin:beyond] = np.clip(ends[begin:beyond] - starts[:, None], 0, factor).sum(axis=0) / factor**2
-        cover[row, beyond:] = 1.0
+        cover[row] = np.clip(ends - starts[:, None], 0, factor).sum(axis=0) / factor**2
     return (dark + (1 - dark) * cover).astype(np.float32)
 
 

@@ -29,7 +29,6 @@ from pixsim.light.spectral import (
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import Tiling, rendered_camera, without_lens
 from pixsim.optics.camera_light import camera_factor, camera_pupil
-from pixsim.optics.diffraction import cutoff_cy_per_mm, diffraction_otf
 from pixsim.optics.lens_defocus import Defocus, depth_of_field_m, finite_or_none
 from pixsim.optics.quantities import AnyDistance
 from pixsim.scene import bands as spectral_bands, film, rules, white_plate
@@ -144,11 +143,7 @@ class LightPlan:
         """Return the entries of an irradiance's header on the light of the scene's white, in bands between edges (B + 1,).
 
         And on the lamps' light outside the bands' range.
-
-        Raises PixsimError for fewer than two edges.
         """
-        if np.ndim(edges_nm) != 1 or len(edges_nm) < 2:
-            raise invalid("edges_nm", f"an array of shape {np.shape(edges_nm)}", "two or more edges")
         header = {WHITE_LAMPS: list(self.white_lamps)} if self.white_lamps else {}
         header |= self.outside
         if not self.white:
@@ -460,12 +455,13 @@ def _witnesses(derived: Sequence[PixelPhysics]) -> list[Witness]:
     def observer(number: int) -> spectral_bands.Response:
         return lambda nm: np.asarray(colour_matching(nm)[..., number])
 
-    seen = [Witness(response(channel)) for physics in derived for channel in physics.channels]
-    if any(physics.layout for physics in derived):
-        # No slack for X, Y and Z: a ColorChecker is then right within 0.04 ΔE under smooth lamps and lines.
-        observed = [Witness(observer(number), least=LEAST_OF_WHITE) for number in range(3)]
-        return [*(replace(one, slack=COLOUR_SLACK, least=LEAST_OF_WHITE) for one in seen), *observed]
-    return [*seen, Witness(photopic_efficiency, LUMINANCE_SLACK)]
+    responses = [response(channel) for physics in derived for channel in physics.channels]
+    if not any(physics.layout for physics in derived):
+        return [*map(Witness, responses), Witness(photopic_efficiency, LUMINANCE_SLACK)]
+
+    # No slack for X, Y and Z: a ColorChecker is then right within 0.04 ΔE under smooth lamps and lines.
+    channels = [Witness(channel, slack=COLOUR_SLACK, least=LEAST_OF_WHITE) for channel in responses]
+    return [*channels, *(Witness(observer(number), least=LEAST_OF_WHITE) for number in range(3))]
 
 
 def _lights(
@@ -474,54 +470,48 @@ def _lights(
     """Return the pulses of each lamp, the bands, the number of passes without leaving out any band, and the reasons."""
     lamps, surfaces = inspection.lamps, inspection.surfaces
     witnesses = _witnesses(inspection.pixels)
-    in_colour = any(physics.pixel.colour for physics in inspection.pixels)
+    products = surfaces.products(bounces) if bounces else surfaces.products(1)[:0]
     spectra = [lamp.spectrum for lamp in lamps if lamp.spectrum]
-    met = surfaces.products(bounces) if bounces else surfaces.products(1)[:0]
-    bands = spectral_bands.place_bands(spectra, met, witnesses, tolerance_e * BANDS_SHARE, surfaces.span)
-    known = surfaces.spectra is not None or bounces == 0
-    lights, reasons, most, alone = [], [], 0, 0.0
+    bands = spectral_bands.place_bands(spectra, products, witnesses, tolerance_e * BANDS_SHARE, surfaces.span)
+
+    has_spectra = surfaces.spectra is not None or bounces == 0
+    in_colour = any(physics.pixel.colour for physics in inspection.pixels)
     stiffness = spectral_bands.COLOUR_STIFFNESS if in_colour else spectral_bands.STIFFNESS
+    lights, full_passes, bands_error = [], 0, 0.0
     for lamp in lamps:
-        every = spectral_bands.every_band(lamp.spectrum, bands)
-        most += len(every.passes)
+        every_band = spectral_bands.every_band(lamp.spectrum, bands)
+        full_passes += len(every_band.passes)
         fitted: Fit | None = None
         if lamp.spectrum:
-            errors = spectral_bands.band_errors(bands, spectral_bands.resolved(lamp.spectrum, met, surfaces.span), witnesses)
-            alone = max(alone, float(np.abs(errors.sum(axis=2)).max()))
-            if known and not full:
-                fitted = spectral_bands.fit(lamp.spectrum, bands, met, witnesses, tolerance_e * SPECTRUM_SHARE, stiffness)
-        lights.append(FittedLamp(lamp, fitted or every))
-        count = len(lights[-1].fit.pulses)
-        reasons.append(f"{count} pulse{'s' * (count > 1)}" if fitted else f"{count} bands")
+            errors = spectral_bands.band_errors(bands, spectral_bands.resolved(lamp.spectrum, products, surfaces.span), witnesses)
+            bands_error = max(bands_error, float(np.abs(errors.sum(axis=2)).max()))
+            if has_spectra and not full:
+                fitted = spectral_bands.fit(lamp.spectrum, bands, products, witnesses, tolerance_e * SPECTRUM_SHARE, stiffness)
+        lights.append(FittedLamp(lamp, fitted or every_band))
+
     widths = bands.width_nm
-    uniform = bool(np.all(np.isin(widths, (5.0, 10.0)))) and widths.size == spectral_bands.band_edges_nm(surfaces.span).size - 1
-    sizes = "uniform, 10 nm" if uniform else f"{widths.min():g} to {widths.max():g} nm, finer where lamps or surfaces change"
-    reason_of_bands = f"{widths.size} bands, {sizes}, pulses shaped like the lamp, so that no line is missed"
-    placing = Decision("wavelength bands", True, reason_of_bands, bound_e=alone)
-    fewest = sum(len(light.fit.passes) for light in lights)
-    error = max(light.fit.error for light in lights)
-    reason, saved = _rank_reason(lamps, surfaces, met, reasons, full), f"{fewest} of {most} passes" if fewest < most else ""
-    bounded = all(lamp.spectrum is not None for lamp in lamps) and known
+    reason = f"{widths.size} bands of {widths.min():g} to {widths.max():g} nm, finer where lamps or surfaces change"
+    placing = Decision("wavelength bands", True, reason, bound_e=bands_error)
+    passes = sum(len(light.fit.passes) for light in lights)
+    saved = f"{passes} of {full_passes} passes" if passes < full_passes else ""
+    is_bounded = all(lamp.spectrum is not None for lamp in lamps) and has_spectra
     # The fit's error includes that of its bands.
-    rank = Decision("spectral rank", fewest >= most, reason, saved, max(0.0, error - alone), bounded)
-    return lights, bands, most, [placing, rank]
+    error = max(0.0, max(light.fit.error for light in lights) - bands_error)
+    rank = Decision("spectral rank", passes >= full_passes, _rank_reason(lights, surfaces, full), saved, error, is_bounded)
+    return lights, bands, full_passes, [placing, rank]
 
 
-def _rank_reason(lamps: list[Lamp], surfaces: Surfaces, met: Array, counts: list[str], full: bool) -> str:
-    pulses = " and ".join(counts) or "no light"
-    lit = f"{len(lamps)} lamp spectr{'um' if len(lamps) == 1 else 'a'}"
+def _rank_reason(lights: Sequence[FittedLamp], surfaces: Surfaces, full: bool) -> str:
+    """Return why so many pulses are rendered."""
+    pulses = " and ".join(str(len(light.fit.pulses)) for light in lights)
+    reason = f"pulses of {len(lights)} lamp spectra: {pulses}"
     if full:
-        return f"nothing left out: {lit}, {pulses}"
-    if any(lamp.spectrum is None for lamp in lamps):
-        return f"{lit}, one with a colour that varies over the emitter: {pulses}"
+        return f"{reason}, since nothing is left out"
+    if any(light.lamp.spectrum is None for light in lights):
+        return f"{reason}, since the colour of a lamp varies over it"
     if surfaces.spectra is None:
-        return f"{lit}; all bands, because of {surfaces.unknown}: {pulses}"
-    seen = (
-        f"{len(surfaces.spectra)} surface spectra ({len(met)} with interreflections)"
-        if len(surfaces.spectra)
-        else "neutral surfaces"
-    )
-    return f"{lit} × {seen}: {pulses} determine{'s' * (pulses == '1 pulse')} all bands"
+        return f"{reason}, one for each band, because of {surfaces.unknown}"
+    return f"{reason}, which determine all bands for {len(surfaces.spectra)} surface spectra"
 
 
 UNIFORM_RESOLUTION = 64  # the lens's fall-off is then right to 3e-5 of the mean electrons at 20° off axis
@@ -583,45 +573,37 @@ def decide_oversampling(
     """
     height, width = (max(1, side) for side in scene.film_shape(camera, scene.for_camera(rendered_camera(camera))))
     chart = plan.film.chart
-    uniform, free = chart is not None and chart.uniform, scene.resolution is None
-    given = not free or "resolution" in scene.parameters
+    is_uniform, is_free = chart is not None and chart.uniform, scene.resolution is None
+    is_stated = not is_free or "resolution" in scene.parameters
     # Error of taking the fall-off at the middle of a sample for its mean: it grows as the width squared, so halve the samples.
     n = UNIFORM_RESOLUTION
     middle, parts = (camera_factor(camera, (side, side), 1e3 * camera.die_mm / side) for side in (n, 2 * n))
     error = float(4 / 3 * np.abs(middle / parts.reshape(n, 2, n, 2).mean(axis=(1, 3)) - 1).max())
-    if uniform and not full and not given and width > UNIFORM_RESOLUTION and plan.bound_e + error <= plan.tolerance_e:
-        reason = f"a scene without detail: {UNIFORM_RESOLUTION} samples across resolve the fall-off of the lens"
-        return UNIFORM_RESOLUTION, Decision(FILM, False, reason, f"{UNIFORM_RESOLUTION}² of {width}² samples", error)
-    if display is None or full or uniform:
+    if is_uniform and not full and not is_stated and width > n and plan.bound_e + error <= plan.tolerance_e:
+        reason = f"a scene without detail: {n} samples across resolve the fall-off of the lens"
+        return n, Decision(FILM, False, reason, f"{n}² of {width}² samples", error)
+    if display is None or full or is_uniform:
         return None, Decision(FILM, True, _sampling(camera, physics, width))
+
     details, name = film.details_across(
         camera, physics.aperture_side_um, display, physics.pitch_um, chart.details if chart else None
     )
-    words = f"{details:.4g} {name} across the die"
-    if not free:
-        return None, Decision(FILM, True, f"{_sampling(camera, physics, width)}; {words}; as set by resolution")
     most = film.largest_film(height / width, plan.light.planes, plan.cells_in_time)
     needed = film.SAMPLES_PER_DETAIL * details
-    if width >= min(needed, most):
-        return None, Decision(FILM, True, f"{_sampling(camera, physics, width)}; {words}")
+    words = f"{details:.4g} {name} across the die"
+    if not is_free or width >= min(needed, most):
+        set_by = "" if is_free else "; as set by --resolution"
+        return None, Decision(FILM, True, f"{_sampling(camera, physics, width)}; {words}{set_by}")
     chosen = film.fitting_width(camera.height_mm / camera.die_mm, needed, most)
-    pictures = f"{plan.light.planes} picture{'s' * (plan.light.planes > 1)}"
-    limits = f", the limit for {pictures} ({film.MAX_ACROSS} across, 2 GiB, {amount(plan.most_samples, 2)} rays)"
-    limit = limits if needed > most else ""
-    sampling = _sampling(camera, physics, chosen)
-    return chosen, Decision(FILM, True, f"{sampling}, not {width} as in the scene: {words}{limit}")
+    limits = f"{film.MAX_ACROSS} across, 2 GiB for {plan.light.planes} pictures, {amount(plan.most_samples, 2)} rays"
+    limit = f", the limit ({limits})" if needed > most else ""
+    return chosen, Decision(FILM, True, f"{_sampling(camera, physics, chosen)}, not {width} as in the scene: {words}{limit}")
 
 
 def _sampling(camera: Camera, physics: PixelPhysics, width: int) -> str:
-    """Compare the samples of a film with the lens and the photodiode."""
+    """Compare the samples of a film with the photodiode."""
     pitch_um = 1e3 * camera.die_mm / width
-    nyquist = 1e3 / (2 * pitch_um)
-    cutoff = float(cutoff_cy_per_mm(GREEN_NM, camera.effective_f_number))
-    left = float(diffraction_otf(nyquist, GREEN_NM, camera.effective_f_number))
-    return (
-        f"{width} samples of {pitch_um:.3g} µm across, {physics.aperture_side_um / pitch_um:.2g} per {_aperture(physics)}; "
-        f"the lens passes {percent(left)} at their Nyquist frequency, {nyquist:.3g} of {cutoff:.3g} cy/mm"
-    )
+    return f"{width} samples of {pitch_um:.3g} µm across, {physics.aperture_side_um / pitch_um:.2g} per photodiode or microlens"
 
 
 def decide_stack(physics: PixelPhysics, camera: Camera, spare_e: float, full: bool) -> Decision:
@@ -633,42 +615,29 @@ def decide_stack(physics: PixelPhysics, camera: Camera, spare_e: float, full: bo
     """
     stack = physics.stack
     if stack is None:
-        given = "none given" if physics.pixel.stack is None or physics.pixel.stack.enabled else "switched off"
-        reason = f"{given}: light on the photodiode is collected from every direction"
+        reason = "none, or switched off: light on the photodiode is collected from every direction"
         return Decision(STACK, full, reason, "" if full else "its shares")
     check_efficiency(physics)
     axis, corner = stack_shares(physics, camera, GREEN_NM)
     kind = f"{'microlens' if stack.microlens else 'opening'} {stack.height_um:.4g} µm"
-    reason = f"{kind} above the photodiode: a pixel collects {percent(axis)} of its light on axis, {percent(corner)} in the corner"
-    rays = ", chief rays of camera.chief_ray_angle" if camera.chief_ray_angle is not None else ""
-    rays = f", rays of '{camera.lens.file}'" if camera.lens is not None else rays
-    reason += f" ({GREEN_NM:g} nm{rays})"
-    if stack.microlens:
-        slower = f"from f/{stack.lossless_f_number:.3g} on" if stack.lossless_f_number else "at every f-number"
-        reason += f"; {slower}, light on axis is lost by diffraction only"
+    reason = f"{kind} above the photodiode: a pixel collects {percent(axis)} of its light on axis, {percent(corner)} "
+    reason += f"in the corner ({GREEN_NM:g} nm)"
     error = scale_error(physics, camera_pupil(camera), half_sizes_um(physics, pixels_on(camera.die_um, physics.pitch_um)), spare_e)
     if error is None:
         return Decision(STACK, True, reason)
     return Decision(STACK, False, f"{reason}; it is one scale for all pixels", "its neighbours' light and its shading", error)
 
 
-def _aperture(physics: PixelPhysics) -> str:
-    """Return what `PixelPhysics.aperture_side_um` is the side of."""
-    return "microlens" if physics.aperture_side_um > physics.photodiode_side_um else "photodiode side"
-
-
 def decide_saturation(readout: Readout, integration_s: float) -> Decision:
     """Describe how charge is stored, and from which limit on not linearly; the bound, 1e-6 of the well, holds below that limit."""
     pixel, diode, full_well_e = readout.physics.pixel, readout.physics.diode, readout.full_well_e
-    bent = pixel.conversion == "junction" and diode is not None and not diode.constant
-    conversion = "; V(Q) of the junction at every level" if bent else ""
     if pixel.well_limit == "swing" or diode is None:
         clips = "at the well" if full_well_e <= readout.adc_range_e else "by the ADC"
-        reason = f"linear charge up to a hard clip {clips}, {rounded(readout.burst(1).saturation_e, 3)} e-{conversion}"
-        return Decision("saturation", True, reason)
+        return Decision("saturation", True, f"a hard clip {clips}, {rounded(readout.burst(1).saturation_e, 3)} e-")
+
     limit_e = linear_limit_e(diode, full_well_e, integration_s)
     limit = f"{rounded(limit_e, 3)} e- in {rounded(integration_s, 3)} s ({percent(limit_e / full_well_e)} of the well)"
-    if bent:
-        return Decision("saturation", True, f"the diode turns forward above {limit}{conversion}")
+    if pixel.conversion == "junction" and not diode.constant:
+        return Decision("saturation", True, f"the diode turns forward above {limit}")
     reason = f"linear if the brightest pixel stays below {limit}; else a table of the diode"
     return Decision("saturation", False, reason, "the table", LINEAR_WITHIN * full_well_e / limit_e)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import os
 from collections.abc import Sequence
@@ -195,11 +194,7 @@ class Scene:
         `die_height_mm` it follows the shape of the film in the XML.
 
         state : the parsed tree, as from `parse`
-
-        Raises PixsimError if it is something else.
         """
-        if not all(hasattr(state, name) for name in ("nodes", "id_to_index")):
-            raise invalid("state", brief(state), "the parsed tree of a scene, from its method `parse`")
         height, width = film_size(state, sensor_node(state, self.sensor_id)[1])
         if self.resolution is None and camera.die_height_mm is None:
             return height, width
@@ -275,7 +270,9 @@ def scene_path(scene: str | os.PathLike[str]) -> Path:
     if not os.path.lexists(path) or path.is_dir():
         known, is_path = packaged_scenes(), path.parent != Path() or path.suffix
         got = f"'{scene}', a folder" if path.is_dir() else missing(path) if is_path else f"'{scene}'"
-        hint = _hint_of_picture(path) or did_you_mean(str(scene), known)
+        hint = did_you_mean(str(scene), known)
+        if path.suffix.lower() in SUFFIXES:
+            hint = f"A picture is the chart of a scene: csf with {caller.parameter(CHART, str(path))}."
         raise invalid("scene", got, f"an XML file, or one of {', '.join(known)}", hint)
     return path
 
@@ -306,48 +303,31 @@ def load_scene(
     3.86
     """
     path = scene_path(scene)
-    only_here = {name: parameters.pop(name, None) for name in (LUMINANCE, WHITE, WHITE_LAMPS, charts.MAX_LP_PER_MM)}
-    luminance, white, lamps, highest = only_here.values()
+    special = {name: parameters.pop(name, None) for name in (LUMINANCE, WHITE, WHITE_LAMPS, charts.MAX_LP_PER_MM)}
     linear = _flag(CHART_LINEAR, parameters.pop(CHART_LINEAR, False))
     beyond = _beyond(parameters.pop(BEYOND_TABLES, None))
-    given = {name: str(value) for name, value in parameters.items()}
-    picture = _picture_of_chart(path, given)
-    text = open_scene(path, given)
-    names = text.names
-    lux = None if ILLUMINANCE in names else given.pop(ILLUMINANCE, None)
+    values = {name: str(value) for name, value in parameters.items()}
+    picture = _picture_of_chart(path, values)
+    text = open_scene(path, values)
+    special[ILLUMINANCE] = None if ILLUMINANCE in text.names else values.pop(ILLUMINANCE, None)
+    packaged_chart = Path(text.defaults.get(CHART, "")).name if CHART in text.names and CHART not in values else ""
+    _check_names(text, [*values, *(name for name, value in special.items() if value is not None)], packaged_chart)
+    luminance, white, lamps, highest_lp_per_mm, lux = special.values()
     if lux is not None and luminance is not None:
         raise invalid(ILLUMINANCE, f"'{lux}' beside {LUMINANCE}", "one of them", "A white diffuser in E lx has E / π cd/m².")
-    also = (
-        (LUMINANCE, EMITTER_SCALE),
-        (ILLUMINANCE, EMITTER_SCALE),
-        (ILLUMINANCE, ILLUMINANCE),
-        (WHITE, WHITE),
-        (WHITE_LAMPS, WHITE_LAMPS),
-        (CHART_LINEAR, CHART),
-    )
-    settable = {name for name, needed in also if needed in names | text.defaults.keys()}
-    own_chart = Path(text.defaults.get(CHART, "")).name if CHART in names and CHART not in given else ""
-    settable |= {ASSETS, *PARAMETERS_OF_CHARTS.get(own_chart, ())}
-    allowed = names | settable
-    only_here[ILLUMINANCE] = lux
-    stated = [name for name, value in only_here.items() if value is not None]
-    wrong = [name for name in (*given, *stated) if name not in allowed]
-    if wrong:
-        similar = difflib.get_close_matches(wrong[0], allowed, 1)
-        settings = [".".join(path) for path in names_meant(Run.__name__, ["scene"], wrong[0])]
-        hint = f"The setting of this name is {' or '.join(settings)}, beside the scene." if settings else ""
-        hint = f"Did you mean '{similar[0]}'?" if similar else hint
-        raise invalid("scene parameter", f"'{wrong[0]}'", ", ".join(sorted(allowed)), hint)
     if lux is not None and ILLUMINANCE not in text.defaults:  # a chart, whose white a diffuser is as bright as
         luminance = _positive(ILLUMINANCE, lux) / math.pi
         lux = None
-    display_white = text.defaults.get(WHITE) if white is None else white
+
+    # The scene with its chart
     choice = variants.choose(variant)
-    shown_white = None if display_white is None else _positive(WHITE, display_white)
+    stated_white = text.defaults.get(WHITE) if white is None else white
+    white_cd_per_m2 = None if stated_white is None else _positive(WHITE, stated_white)
     # The text is that of the resolved file, unless a link's folder has the files that it names.
-    texts = {_key_of_text(given): text} if picture is None and path == path.resolve() else {}
-    loaded = Scene(path.resolve(), given, names, sensor, choice, shown_white, shows_csf=own_chart == "csf.exr", _texts=texts)
-    loaded = _with_target(loaded) if own_chart == TARGET_FILE else loaded
+    texts = {_key_of_text(values): text} if picture is None and path == path.resolve() else {}
+    shows_csf = packaged_chart == "csf.exr"
+    loaded = Scene(path.resolve(), values, text.names, sensor, choice, white_cd_per_m2, shows_csf=shows_csf, _texts=texts)
+    loaded = _with_target(loaded) if packaged_chart == TARGET_FILE else loaded
     loaded = replace(_with_own_chart(loaded, text, picture, linear), beyond_tables=beyond)
     state = loaded.parse()
     lamp_names = text.defaults.get(WHITE_LAMPS, "") if lamps is None else str(lamps)
@@ -355,6 +335,8 @@ def load_scene(
     if white_lamps:
         white_of(state, find_lamps(state, choice.reading), white_lamps)
         loaded = replace(loaded, white_lamps=white_lamps)
+
+    # What cannot be rendered
     sensor_of_scene = sensor_node(state, sensor)[1]
     read_camera(sensor_of_scene, Camera().die_mm, options=CameraOptions(f_number=Camera().f_number))  # others may be chosen
     film_size(state, sensor_of_scene)
@@ -362,24 +344,38 @@ def load_scene(
     check_supported(state)
     check_transforms(state)
     check_textures(state)
+
+    # Parameters that scale it
     if luminance is not None:
         loaded = _with_luminance(loaded, text, luminance, keeps_white=white is not None)
     if lux is not None:
         loaded = _with_illuminance(loaded, text, lux, keeps_white=white is not None)
-    if highest is not None:
-        loaded = loaded.with_parameters(**{charts.MAX_LP_PER_MM: repr(_positive(charts.MAX_LP_PER_MM, highest))})
+    if highest_lp_per_mm is not None:
+        highest = _positive(charts.MAX_LP_PER_MM, highest_lp_per_mm)
+        loaded = loaded.with_parameters(**{charts.MAX_LP_PER_MM: repr(highest)})
     return loaded
 
 
-def _hint_of_picture(path: Path) -> str:
-    """Return how a picture is used, for one that stands in place of a scene; empty for other files."""
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        return ""
-    hint = f"A picture is the chart of a scene: csf with {caller.parameter(CHART, str(path))}."
-    return (
-        hint if suffix != ".exr" else f"{hint} A picture of spectral light has no scene: {caller.evaluated(str(path))} scores it."
-    )
+def _check_names(text: SceneText, names: Sequence[str], packaged_chart: str) -> None:
+    """Raise PixsimError for a name that is no parameter of a scene.
+
+    packaged_chart : file of a packaged chart that the scene shows; empty for others
+    """
+    needed = {
+        LUMINANCE: {EMITTER_SCALE},
+        ILLUMINANCE: {EMITTER_SCALE, ILLUMINANCE},
+        WHITE: {WHITE},
+        WHITE_LAMPS: {WHITE_LAMPS},
+        CHART_LINEAR: {CHART},
+    }
+    stated = text.names | text.defaults.keys()
+    allowed = text.names | {name for name, others in needed.items() if others & stated}
+    allowed |= {ASSETS, *PARAMETERS_OF_CHARTS.get(packaged_chart, ())}
+    wrong = next((name for name in names if name not in allowed), None)
+    if wrong is not None:
+        settings = [".".join(path) for path in names_meant(Run.__name__, ["scene"], wrong)]
+        hint = f"The setting of this name is {' or '.join(settings)}, beside the scene." if settings else ""
+        raise invalid("scene parameter", f"'{wrong}'", ", ".join(sorted(allowed)), did_you_mean(wrong, allowed) or hint)
 
 
 def _picture_of_chart(path: Path, given: dict[str, str]) -> Path | None:

@@ -22,7 +22,6 @@ from pixsim.optics.camera import Camera
 Size = Annotated[float, Field(ge=1e-9, le=1e9)]
 SIZES = ("size_mm", "size_mrad", "size_um")
 BAR_LENGTH = 5.0  # widths, as the bars of MIL-STD-150A and of the USAF chart
-FAR_BELOW = 100  # cells are larger than the target by more: no film would be fine enough, and a unit is likely wrong
 LEAST_STEP = 1e-5  # of the background: float32 holds a smaller change with an error of more than 0.6 %
 
 
@@ -99,12 +98,6 @@ class Target(Record):
         if 0 < (step := abs(self.contrast) * float(cover.max())) < LEAST_STEP:
             got = f"{self.contrast:g}, which changes the light of no film cell by more than {step:.2g}"
             hint = "The signal is linear in the contrast: choose a larger one and scale its result, or a finer film."
-            cell_mm = max(side / count for side, count in zip(sides_mm, shape, strict=True))
-            if self.shape != "edge" and size_mm < cell_mm / FAR_BELOW:
-                hint = (
-                    f"A film cell is {cell_mm:.3g} mm wide in the plane in focus, and the target {size_mm:.3g} mm: is "
-                    "camera.object_distance_m in metres, and the target's size in mm?"
-                )
             raise invalid("contrast", got, f"0, or a change of at least {LEAST_STEP:g}, which float32 holds", hint)
         return (1 + self.contrast * cover).astype(np.float32)
 

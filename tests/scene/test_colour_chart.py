@@ -11,7 +11,6 @@ import pytest
 from helpers.chains import imaging_chain
 
 import pixsim
-from pixsim.base.errors import PixsimError
 from pixsim.light.exr import read_channels
 from pixsim.light.spectral import colour_matching, photopic_efficiency
 from pixsim.optics.camera_light import camera_factor
@@ -118,9 +117,3 @@ def test_white_of_the_chart_is_that_of_its_lamps(written: Path) -> None:
     assert np.ptp(shown(even)) < 1e-6
     del even.header["lamp_w_per_m2_sr_nm"], even.header["white_lamps"]
     assert np.ptp(shown(even)) > 0.02
-
-
-def test_invalid_change_raises() -> None:
-    for change in ([1.0, 2.0], [0.0, 0.0, 0.0], [1.0, np.nan, 0.0]):
-        with pytest.raises(PixsimError, match="change_xyz"):
-            modulation(change)

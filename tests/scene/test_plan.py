@@ -15,7 +15,6 @@ from scipy.stats import t as student
 
 import pixsim
 from pixsim import optics
-from pixsim.base.digits import percent
 from pixsim.base.schema import SCHEMA
 from pixsim.scene.charts import siemens_star, write_chart
 from pixsim.scene.packaged import packaged_scenes
@@ -197,15 +196,12 @@ def test_make_plan_decisions_have_reasons(name, full):
 BARE = {"height_um": 8.0, "index": 1.5, "shift": "optimal"}
 
 
-def test_decide_stack_names_the_height_and_where_no_light_is_lost() -> None:
-    """A wide lens of a technology lies at p/√π; from there no ray of any lens in air misses so large a photodiode."""
+def test_decide_stack_names_the_height() -> None:
+    """A wide lens of a technology lies at p/√π."""
     scene = load("csf", resolution=64)
     for pitch_um, words in ((6.5, "microlens 3.667 µm above"), (1.4, "microlens 2.4 µm above")):
         plan = make_plan(scene, pixsim.Camera(), pixsim.Pixel(technology="4t-bsi", pitch_um=pitch_um))
-        reason = decision(plan, "pixel stack").reason
-        assert words in reason
-        assert ("at every f-number, light" in reason) == (pitch_um == 6.5)
-        assert ("from f/1.13 on, light" in reason) == (pitch_um == 1.4)
+        assert words in decision(plan, "pixel stack").reason
 
 
 def test_decide_stack_says_what_it_left_out_and_the_evaluation_does_it() -> None:
@@ -222,9 +218,9 @@ def test_decide_stack_says_what_it_left_out_and_the_evaluation_does_it() -> None
         assert decision(other, "pixel stack").kept
         assert decision(other, "pixel stack").bound_e == 0
     assert make_plan(scene, slow, pixel, full=True).spare_e == 0
-    for stack, why in ((None, "none given"), ({"enabled": False}, "switched off")):
+    for stack in (None, {"enabled": False}):
         without = decision(make_plan(scene, slow, pixsim.Pixel(stack=stack)), "pixel stack")
-        assert (without.kept, without.bound_e, without.reason.partition(":")[0]) == (False, 0, why)
+        assert (without.kept, without.bound_e, without.reason.partition(":")[0]) == (False, 0, "none, or switched off")
     image = pixsim.render(scene, slow, plan=plan)
     assert image.header["spare_e"] == plan.spare_e
     for left, light in ((True, image), (False, pixsim.render(scene, slow, full=True))):
@@ -233,14 +229,11 @@ def test_decide_stack_says_what_it_left_out_and_the_evaluation_does_it() -> None
         assert made.collection.is_scale == left
 
 
-def test_decide_oversampling_states_photodiode_and_lens():
-    pixel, camera = pixsim.Pixel(pitch_um=8.0, fill_factor=0.25), pixsim.Camera(f_number=8.0)
-    reason = decision(make_plan(load("csf", resolution=512), camera, pixel), "oversampling").reason
+def test_decide_oversampling_states_the_samples_of_a_photodiode():
+    pixel = pixsim.Pixel(pitch_um=8.0, fill_factor=0.25)
+    reason = decision(make_plan(load("csf", resolution=512), pixsim.Camera(), pixel), "oversampling").reason
     pitch_um = 2713.6 / 512
-    x = 1e3 / (2 * pitch_um) * 550e-6 * camera.effective_f_number
-    otf = 2 / np.pi * (np.arccos(x) - x * np.sqrt(1 - x**2))
-    for part in (f"512 samples of {pitch_um:.3g} µm", f"{4 / pitch_um:.2g} per photodiode side", percent(otf)):
-        assert part in reason
+    assert reason == f"512 samples of {pitch_um:.3g} µm across, {4 / pitch_um:.2g} per photodiode or microlens"
 
 
 def test_decide_saturation_states_law():
@@ -251,12 +244,9 @@ def test_decide_saturation_states_law():
     assert not soft.kept
     assert "178000 e- in 0.1 s (86 % of the well)" in soft.reason
     assert soft.bound_e == pytest.approx(1e-6 / 0.857, rel=1e-2)
-    for limit in ("swing", "diode"):
-        bent = decide_saturation(Readout.of(derive(pixsim.Pixel(well_limit=limit, conversion="junction"))), 0.1)
-        assert bent.kept
-        assert "at every level" in bent.reason
-    paper = decide_saturation(Readout.of(derive(pixsim.Pixel(capacitance="paper", conversion="junction"))), 0.1)
-    assert "at every level" not in paper.reason
+    bent = decide_saturation(Readout.of(derive(pixsim.Pixel(well_limit="diode", conversion="junction"))), 0.1)
+    assert bent.kept
+    assert "the diode turns forward above 178000 e-" in bent.reason
     assert "hard clip" in decide_saturation(Readout.of(derive(pixsim.Pixel(technology="4t-bsi", pitch_um=2.8))), 0.1).reason
 
 

@@ -160,16 +160,9 @@ def test_lux_of_a_scene_with_a_parameter_of_this_name_is_its_own(tmp_path):
     assert next(node["radius"] for node in nodes if "radius" in node) == 0.25
 
 
-@pytest.mark.parametrize(
-    ("name", "hint"),
-    [
-        ("star.png", r"A picture is the chart of a scene: csf with chart='star\.png'\.$"),
-        ("light.exr", r"csf with chart='light\.exr'\. .* evaluate\(read_irradiance\('light\.exr'\), …\) scores it\.$"),
-    ],
-)
-def test_a_picture_in_place_of_a_scene_says_how_it_is_used(name: str, hint: str) -> None:
-    with pytest.raises(PixsimError, match=hint):
-        load(name, resolution=64)
+def test_a_picture_in_place_of_a_scene_says_how_it_is_used() -> None:
+    with pytest.raises(PixsimError, match=r"A picture is the chart of a scene: csf with chart='star\.png'\.$"):
+        load("star.png", resolution=64)
 
 
 def test_load_scene_parameter_in_comment_is_unknown(tmp_path):
