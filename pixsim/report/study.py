@@ -30,7 +30,7 @@ from pixsim.report.pictures import size_words
 from pixsim.report.regret import REGRETS, metrics_against_pitch, regrets_plate
 from pixsim.report.settings import UNSTATED, record_rows, scene_rows, settings_blocks, settings_table, settings_tables
 from pixsim.report.study_facts import study_facts, study_notes
-from pixsim.report.uncertainty import uncertainty_blocks, uncertainty_document
+from pixsim.report.uncertainty import uncertainty_blocks, uncertainty_csv, uncertainty_sections
 from pixsim.report.views import Views, map_end, study_views
 from pixsim.report.wording import DELTA_E, film_words, rendered_words, weighted_answer
 from pixsim.sensor.labels import file_label, labels_of
@@ -288,10 +288,11 @@ def curve_file(name: str, paper: bool) -> str:
 
 
 def with_files_of_study(page: Document, result: StudyResult) -> Document:
-    """Return the document of a study with settings.toml, from which `pixsim study` makes it again, and what is not known."""
+    """Return the document of a study with settings.toml, from which `pixsim study` makes it again, and its sensor types."""
     files = {SETTINGS_FILE: result.settings_toml} if result.settings_toml else {}
-    unknown = {".": uncertainty_document(result)} if result.uncertainty else {}
-    return replace(page, files={**files, **page.files}, parts={**page.parts, **unknown})
+    types = uncertainty_csv(result.uncertainty)
+    sections = *uncertainty_sections(result.uncertainty), *page.sections
+    return replace(page, files={**files, **types, **page.files}, sections=sections)
 
 
 def report_files(study: Study) -> set[str]:

@@ -1,20 +1,19 @@
-"""The document of what is not known: the distribution of each optimum over sensor types, and the shares of its variance."""
+"""The distribution of each optimum over sensor types, and the shares of its variance."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from functools import partial
 
 from pixsim.base.digits import percent
 from pixsim.sensor.labels import label_of
-from pixsim.show.document import Answer, Block, Document, DocumentTable, Fact, Link, Plot, Section, headline
+from pixsim.show.document import Block, DocumentTable, Fact, Link, Plot, Section, headline
 from pixsim.show.figures import COLOURS, literal, new_figure
-from pixsim.show.pages import Drawing, figure, figure_files
+from pixsim.show.pages import Drawing, Plate, figure, figure_files
 from pixsim.show.sentences import capital
-from pixsim.studies.result import StudyResult
 from pixsim.studies.uncertainty import SCATTER, PairUncertainty, Sample, UncertaintyResult, groups_of
 
-PAGE, DATA = "uncertainty.html", "uncertainty.json"
 MOST_BARS = 30  # of a histogram
 MOST_RESULTS = 20  # technologies × values × conditions with a section of the page
 DRAWN = (
@@ -28,39 +27,28 @@ SHARES = (
 
 
 def uncertainty_files() -> set[str]:
-    """Return the names of all files of `uncertainty_document`."""
+    """Return the names of all files that the results of sensor types may have."""
     numbers = range(1, MOST_RESULTS + 1)
     figures = figure_files([f"uncertainty_distribution_{number}" for number in numbers])
-    return {PAGE, DATA, *figures, *(f"sensor_types_{number}.csv" for number in numbers)}
+    return {*figures, *(f"sensor_types_{number}.csv" for number in numbers)}
 
 
-def uncertainty_document(result: StudyResult) -> Document:
-    """Return the results of the sensor types of a study, with a table of the types and a figure of each optimum."""
-    study, results = result.study, list(enumerate(result.uncertainty[:MOST_RESULTS], 1))
-    blocks = uncertainty_blocks(result.uncertainty)
-    return Document(
-        command="study",
-        kind="study with unknown inputs",
-        title=f"What is not known: {study.title or study.name}",
-        data={"study": study.name, "results": [uncertainty.as_dict() for _, uncertainty in results]},
-        answers=[block for block in blocks if isinstance(block, Answer)],
-        lead=[block for block in blocks if not isinstance(block, Answer)],
-        about=((DRAWN, Link("The study itself", "report.html"), "."),),
-        sections=tuple(
-            Section(f"pixel-{number}", f"{capital(each.label) or 'Optimum'}{each.by}", tuple(_blocks(each, number)))
-            for number, each in results
-        ),
-        files={f"sensor_types_{number}.csv": uncertainty.to_csv() for number, uncertainty in results},
-        data_file=DATA,
-        page=PAGE,
-    )
+def uncertainty_sections(results: Sequence[UncertaintyResult]) -> Iterator[Section]:
+    """Yield a section for each optimum over sensor types: its distribution, and the shares of its variance."""
+    for number, result in enumerate(results[:MOST_RESULTS], 1):
+        title = f"Sensor types: {capital(result.label) or 'optimum'}{result.by}"
+        drawn = Plot(partial(_numbered_plate, result, number))
+        types = (Link("All sensor types (CSV)", f"sensor_types_{number}.csv"),)
+        yield Section(f"types-{number}", title, (DRAWN, drawn, SHARES, shares_table(result), types))
 
 
-def _blocks(result: UncertaintyResult, number: int) -> list[Block]:
-    """Return the figure and the tables of one optimum."""
-    blocks: list[Block] = [Plot(lambda: distribution_plate(result).named(f"uncertainty_distribution_{number}"))]
-    blocks += [SHARES, shares_table(result)]
-    return [*blocks, (Link("All sensor types (CSV)", f"sensor_types_{number}.csv"),)]
+def _numbered_plate(result: UncertaintyResult, number: int) -> Plate:
+    return distribution_plate(result).named(f"uncertainty_distribution_{number}")
+
+
+def uncertainty_csv(results: Sequence[UncertaintyResult]) -> dict[str, str]:
+    """Return a file of the sensor types of each optimum, name -> CSV."""
+    return {f"sensor_types_{number}.csv": result.to_csv() for number, result in enumerate(results[:MOST_RESULTS], 1)}
 
 
 def shares_table(result: UncertaintyResult) -> DocumentTable:

@@ -222,8 +222,8 @@ class Document(DocumentRecord):
     terminal, cell : what a terminal and a notebook show in place of all that
     files : name -> content of further files
     writers : write others to a folder, side by side: arrays that are in no file's form in memory
-    parts : folder -> further document, published together with this one; "." is the same folder
-    data_file, page, figures : names of the files of `data` and of the page, and of the folder of the figures
+    parts : folder -> further document, published together with this one
+    data_file, figures : names of the file of `data`, and of the folder of the figures
     """
 
     command: str
@@ -240,7 +240,6 @@ class Document(DocumentRecord):
     writers: Iterable[Callable[[Path], object]] = ()
     parts: Mapping[str, Document] = field(default_factory=dict)
     data_file: str = "summary.json"
-    page: str = "report.html"
     figures: str = "figures"
 
     @property

@@ -194,7 +194,7 @@ def write(document: Document, folder: Path, provenance: dict[str, Any] | None = 
     """
     with output_folder(folder) as path, publishing(path, provenance) as unfinished:
         write_files(document, unfinished, figures)
-    return Path(folder) / document.page
+    return Path(folder) / PAGE
 
 
 def write_files(document: Document, folder: Path, figures: Figures = "svg") -> None:
@@ -203,7 +203,7 @@ def write_files(document: Document, folder: Path, figures: Figures = "svg") -> N
         written = [pool.submit(make, folder) for make in document.writers]
         drawn = (plot.drawn_as(figures).files for plot in document.plots)
         plots = {f"{document.figures}/{name}": content for files in drawn for name, content in files.items()}
-        for name, content in {**plots, **document.files, document.page: html(document)}.items():
+        for name, content in {**plots, **document.files, PAGE: html(document)}.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
         write_json(folder / document.data_file, document.data)

@@ -172,8 +172,8 @@ def test_study_command_uncertainty_of_a_data_sheet(desk: Path, monkeypatch: pyte
     (own,) = json.loads(out)["uncertainty"]
     assert list(own["inputs"]) == ["read_noise_e"]
     assert own["verdicts"]["the optimum is smaller than 6 µm"]["draws"] == 8
-    assert json.loads(Path("out/uncertainty.json").read_text(encoding="utf-8"))["results"][0]["draws"] == 8
-    assert "The study itself" in Path("out/uncertainty.html").read_text(encoding="utf-8")
+    assert json.loads(Path("out/summary.json").read_text(encoding="utf-8"))["uncertainty"][0]["draws"] == 8
+    assert "Sensor types: " in Path("out/report.html").read_text(encoding="utf-8")
     assert Path("out/sensor_types_1.csv").read_text(encoding="utf-8").startswith("draw,read_noise_e,optimum_um,")
     # The command in settings.toml draws the same types, without the sheet.
     monkeypatch.chdir("out")
@@ -181,7 +181,7 @@ def test_study_command_uncertainty_of_a_data_sheet(desk: Path, monkeypatch: pyte
     assert line == "# pixsim study settings.toml --uncertainty 8 --smaller-than 6.0"
     code, _, err = command(f"{line.removeprefix('# pixsim ')} --jobs 1 --out again")
     assert code == 0, err
-    for name in ("uncertainty.json", "settings.toml", "sensor_types_1.csv"):
+    for name in ("settings.toml", "sensor_types_1.csv"):
         assert Path("again", name).read_bytes() == Path(name).read_bytes()
 
 
@@ -193,7 +193,7 @@ def test_sobol_in_python_has_the_indices_of_the_command(desk: Path) -> None:
     code, _, err = command("study s.toml --config sheet.toml --sobol 8 --smaller-than 6 --jobs 1 --out out")
     assert code == 0, err
     assert Path("out", TYPES_FILE).read_bytes() == before
-    (written_one,) = json.loads(Path("out/uncertainty.json").read_text(encoding="utf-8"))["results"]
+    (written_one,) = json.loads(Path("out/summary.json").read_text(encoding="utf-8"))["uncertainty"]
     assert written_one == json.loads(json.dumps(found.as_dict()))
     assert {kind for inputs in found.shares.values() for kinds in inputs.values() for kind in kinds} == {"first", "total"}
     with pytest.raises(PixsimError, match=r"uncertainty: got with sobol; allowed: one of the two"):
@@ -264,8 +264,8 @@ def test_uncertainty_page_fits_screens(tmp_path: Path, monkeypatch: pytest.Monke
     Path("s.toml").write_text(written(technologies=["0.35um", "0.25um"]), encoding="utf-8")
     code, _, err = command("study s.toml --uncertainty 16 --smaller-than 6 --jobs 1 --out out")
     assert code == 0, err
-    assert_fits(tmp_path / "out/uncertainty.html", tmp_path)
-    assert_prints(tmp_path / "out/uncertainty.html", tmp_path, range(2, 9), ["smaller than 6", "0.25um is better"], [])
+    assert_fits(tmp_path / "out/report.html", tmp_path)
+    assert_prints(tmp_path / "out/report.html", tmp_path, range(4, 20), ["smaller than 6", "0.25um is better"], [])
 
 
 @pytest.mark.parametrize(
