@@ -31,8 +31,8 @@ from pixsim.report.study import (
 )
 from pixsim.report.wording import film_words, rendered_words
 from pixsim.show.document import Block, Document, DocumentTable, Fact, Link, Listed, Section
-from pixsim.show.pages import figure_files
-from pixsim.show.presenter import PageOptions, Presenter
+from pixsim.show.pages import Figures, figure_files
+from pixsim.show.presenter import Presenter
 from pixsim.studies.claims import Verdict, verdicts
 from pixsim.studies.design import BASE, Case, cases_of
 from pixsim.studies.engine import Workers
@@ -223,10 +223,10 @@ def result_document(result: StudyResult) -> Document:
     return study_document(result)
 
 
-def result_page(result: StudyResult, options: PageOptions) -> Document:
+def result_page(result: StudyResult, figures: Figures) -> Document:
     """Return the document of any study with its page and all other files."""
     regrets = condition_regrets(result.study, result.curves)
-    with study_drawing(options.figures) as drawing:
+    with study_drawing(figures) as drawing:
         page = study_report(result, regrets, Workers(), drawing)
         drawing.wait()
     return page

@@ -73,7 +73,7 @@ from pixsim.show.pictures import (
     window_at,
     worst_window,
 )
-from pixsim.show.presenter import PageOptions, Presenter
+from pixsim.show.presenter import Presenter
 from pixsim.show.render import PAGE
 from pixsim.show.sentences import setting_value
 from pixsim.studies.comparison import ComparedSensor, Comparison, DisplayDifference
@@ -608,8 +608,6 @@ def _settings(result: Comparison) -> list[Block]:
     return [differing, *settings_blocks(shared)]
 
 
-def _page(result: Comparison, options: PageOptions) -> Document:
-    return comparison_page(result)
-
-
-PRESENTER = Presenter(document=comparison_document, figure=scores_plate, csv=comparison_csv, page=_page)
+PRESENTER = Presenter(
+    document=comparison_document, figure=scores_plate, csv=comparison_csv, page=lambda result, _: comparison_page(result)
+)

@@ -224,11 +224,9 @@ def colour_plate(data: LensData) -> Drawing:
 
 # The document ----------------------------------------------------------------------------------------------------------------
 
-UNBROKEN = str.maketrans(" -", "\u00a0\u2011")  # a number and its name stay on one line of a page
-
 
 def lens_document(data: LensData) -> Document:
-    """Return the page of a lens: its layout, first-order data and fields, further figures, and its prescription."""
+    """Return the page of a lens: its layout, first-order data and fields, and further figures."""
     prescription = data.lens.prescription
     over_field = (mtf_over_field, curvature_plate, illumination_plate) if data.field_deg.size > 1 else ()
     figures = spot_plate, psf_plate, mtf_plate, *over_field, colour_plate
@@ -250,7 +248,7 @@ def lens_document(data: LensData) -> Document:
             Section("figures", "Figures", [Plot(partial(draw, data)) for draw in figures]),
             Section("glasses", "Glasses", (Listed(glasses),), folded=True, brief=True),
             Section("reflections", "Reflected twice", (ghost_table(data),) if data.ghosts else (), folded=True),
-            Section("prescription", "Prescription", (surface_table(data), source, made_with()), folded=True),
+            Section("made", "How this was computed", (source, made_with()), folded=True),
         ),
     )
 
@@ -393,24 +391,6 @@ def ghost_table(data: LensData) -> DocumentTable:
     coating = "bare glass" if data.reflectance is None else f"a coating that reflects {100 * data.reflectance:.3g} %"
     caption = f"Light on the axis: {100 * total:.3g} % by all pairs, with {coating}, the nearest focus last"
     return DocumentTable("reflected-twice", head, rows, caption)
-
-
-def surface_table(data: LensData) -> DocumentTable:
-    """Return the prescription."""
-    prescription = data.lens.prescription
-    head = ("surface", "radius (mm)", "thickness (mm)", "medium behind", "conic", "asphere", "semi-diameter (mm)")
-    rows = []
-    for index, surface in enumerate(prescription.surfaces):
-        radius_mm = f"{1 / surface.curvature_per_mm:.6g}" if surface.curvature_per_mm else "plane"
-        conic = f"{surface.conic:.5g}" if surface.conic else ""
-        asphere = ", ".join(f"A{power} {value:.4g}".translate(UNBROKEN) for power, value in surface.asphere)
-        semi_diameter_mm = f"{surface.semi_diameter_mm:.5g}" if surface.semi_diameter_mm else ""
-        if surface.clips and semi_diameter_mm:
-            semi_diameter_mm += ", clips"
-        place = f"{index + 1}, stop" if index == prescription.stop else f"{index + 1}"
-        rows.append((place, radius_mm, f"{surface.thickness_mm:.6g}", surface.glass.name, conic, asphere, semi_diameter_mm))
-    caption = "Surfaces in the order of the light; the last thickness leads to the image plane"
-    return DocumentTable("prescription", head, rows, caption)
 
 
 PRESENTER = Presenter(document=lens_document, figure=layout, csv=lens_csv)

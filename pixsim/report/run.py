@@ -57,7 +57,7 @@ from pixsim.show.document import (
 )
 from pixsim.show.pages import Plate, figure_files
 from pixsim.show.pictures import delta_e_png, factor_for, light_png, scale, scale_end, worst_window
-from pixsim.show.presenter import PageOptions, Presenter
+from pixsim.show.presenter import Presenter
 from pixsim.show.render import PAGE
 from pixsim.studies.files import scene_table, settings_text
 from pixsim.studies.merit import detail_terms, extent, quanta_of_run
@@ -537,8 +537,6 @@ def whole_source(job: Job[Run]) -> str:
     return job.file if job.file in packaged_scenes() else str(job.cases[0].scene.path)
 
 
-def _page(result: RunResult, options: PageOptions) -> Document:
-    return run_page(result)
-
-
-PRESENTER = Presenter(document=run_document, figure=run_plate, csv=run_csv, page=_page, has_figures=False)
+PRESENTER = Presenter(
+    document=run_document, figure=run_plate, csv=run_csv, page=lambda result, _: run_page(result), has_figures=False
+)

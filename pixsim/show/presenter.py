@@ -19,34 +19,20 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class PageOptions:
-    """How the page of a result is written.
-
-    folder : that will hold it
-    figures : "pdf" writes a PDF beside each SVG
-    seconds : stage -> wall time in s
-    """
-
-    folder: Path
-    figures: Figures
-    seconds: Mapping[str, float]
-
-
-@dataclass(frozen=True)
 class Presenter:
     """Functions of a result of one type.
 
     document : what a terminal, JSON and a notebook show; and its page with all other files, unless `page` makes these
     figure : the figure that answers what was asked
     csv : its numbers as CSV
-    page : the document of its page, where that takes longer than `document` or depends on how it is written
+    page : the document of its page, where that takes longer than `document`, with "pdf" for a PDF beside each SVG
     has_figures : whether its page has figures, of which a PDF can be written
     """
 
     document: Callable[[Any], Document]
     figure: Callable[[Any], Plate]
     csv: Callable[[Any], str]
-    page: Callable[[Any, PageOptions], Document] | None = None
+    page: Callable[[Any, Figures], Document] | None = None
     has_figures: bool = True
 
     def plot(self, result: object) -> Figure:
@@ -57,13 +43,12 @@ class Presenter:
         self, result: object, folder: str | os.PathLike[str], figures: Figures = "svg", seconds: Mapping[str, float] | None = None
     ) -> Path:
         """Write the files of a result, and return the path of its page; the arguments are those of `Result.write`."""
-        options = PageOptions(Path(folder), figures, seconds or {})
         if figures != "svg" and not self.has_figures:
             got = f"'{figures}' for a {type(result).__name__}"
             raise invalid("figures", got, "'svg', since it has pictures and no figures")
         with output_folder(folder):  # one that cannot be written fails before figures are drawn
-            document = self.document(result) if self.page is None else self.page(result, options)
-            return write(document, options.folder, {"seconds": dict(seconds)} if seconds else {}, figures)
+            document = self.document(result) if self.page is None else self.page(result, figures)
+            return write(document, Path(folder), {"seconds": dict(seconds)} if seconds else {}, figures)
 
     def cell(self, result: object) -> str:
         """Return the cell of a notebook."""
