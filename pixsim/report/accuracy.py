@@ -11,7 +11,7 @@ from pixsim.base.digits import number, within_error
 from pixsim.base.schema import result_data
 from pixsim.base.tables import plain, rows_csv
 from pixsim.report.score import shown_mean
-from pixsim.show.document import Answer, Block, Document, DocumentTable, Fact, Plot, Section, Strong, made_with
+from pixsim.show.document import Answer, Block, Document, DocumentTable, Fact, Plot, Section, Strong
 from pixsim.show.figures import LOOKS, new_figure, plain_powers
 from pixsim.show.pages import Drawing, figure, figure_files
 from pixsim.show.presenter import Presenter
@@ -39,7 +39,7 @@ def accuracy_document(accuracy: Accuracy) -> Document:
             Section("failed", "Extreme cases that fail", [cases_table(failed)] if failed else (), brief=True),
             Section("ladder", "Films", (ladder_table(accuracy), "The last one is that of the default settings."), brief=True),
             Section("passed", "Extreme cases that meet their known answers", (cases_table(passed),), folded=True),
-            Section("made", "Reproducibility", (made, made_with()), folded=True),
+            Section("made", "How this was computed", (made,), folded=True),
         ),
         files={"ladder.csv": ladder_csv(accuracy), "stability.csv": rows_csv([plain(case.as_dict()) for case in accuracy.cases])},
     )

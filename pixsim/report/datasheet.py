@@ -21,7 +21,7 @@ from pixsim.measure.estimators import straight_line
 from pixsim.report.panels import LINE, MARKED_LINE, POINTS, Line, LinePanel, draw_panels
 from pixsim.sensor.labels import file_label, label_of
 from pixsim.sensor.pixel_options import Pixel
-from pixsim.show.document import Answer, Document, DocumentTable, Plot, Section, headline, made_with, pairs
+from pixsim.show.document import Answer, Document, DocumentTable, Plot, Section, headline, pairs
 from pixsim.show.figures import plain_powers
 from pixsim.show.pages import Drawing, figure, figure_files
 from pixsim.show.presenter import Presenter
@@ -340,7 +340,7 @@ def datasheet_document(sheet: DataSheet) -> Document:
         sections=(
             Section("values", "Measured and true values", (values,), brief=True),
             Section("figures", "Figures", others),
-            Section("made", "How it was made", (measurement_words(sheet), made_with(settings)), folded=True),
+            Section("made", "How it was made", (measurement_words(sheet), settings), folded=True),
         ),
         files={"datasheet.csv": datasheet_csv(sheet)},
     )

@@ -16,7 +16,7 @@ from pixsim.base.schema import result_data
 from pixsim.base.tables import Column, plain, table_csv
 from pixsim.measure.lens import CUT_POINTS, MTF_LINES, LensData, cross_section
 from pixsim.report.panels import LEGEND_IN, MARKED_LINE, Line, LinePanel, draw_panels, legend_below, panels_of, rows_table
-from pixsim.show.document import Answer, Document, DocumentTable, Listed, Plot, Section, made_with
+from pixsim.show.document import Answer, Document, DocumentTable, Listed, Plot, Section
 from pixsim.show.figures import LOOKS, finish
 from pixsim.show.pages import Drawing, coarse_table, figure, figure_files
 from pixsim.show.presenter import Presenter
@@ -248,7 +248,7 @@ def lens_document(data: LensData) -> Document:
             Section("figures", "Figures", [Plot(partial(draw, data)) for draw in figures]),
             Section("glasses", "Glasses", (Listed(glasses),), folded=True, brief=True),
             Section("reflections", "Reflected twice", (ghost_table(data),) if data.ghosts else (), folded=True),
-            Section("made", "How this was computed", (source, made_with()), folded=True),
+            Section("made", "How this was computed", (source,), folded=True),
         ),
     )
 

@@ -44,8 +44,9 @@ from pixsim.show.document import (
     Plot,
     Section,
     Slider,
+    Strong,
+    Text,
     Tiles,
-    VerdictText,
 )
 from pixsim.show.figures import COLOURS, LEGEND_LINE, draw_terms, drawing_thread, fix_margins, literal, new_figure, prepare_to_draw
 from pixsim.show.pages import Drawing, Drawn, Figures, Plate, figure, figure_files
@@ -455,9 +456,9 @@ def _paper(rows: Sequence[Finding]) -> list[Block]:
     return [PAPER, DocumentTable("statements of the paper", head, statements, words=None, stacks=True)] if rows else []
 
 
-def agrees(whether: bool) -> tuple[VerdictText]:
+def agrees(whether: bool) -> Text:
     """Return whether a result agrees with a statement, for a cell of a table."""
-    return (VerdictText("yes" if whether else "does not agree", whether),)
+    return "yes" if whether else (Strong("does not agree"),)
 
 
 def _rendered(result: StudyResult) -> str:

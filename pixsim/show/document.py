@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from pixsim.base.digits import number
-from pixsim.base.files import versions
 from pixsim.base.headline import MOST_WORDS
 from pixsim.base.notes import Note
 from pixsim.show.figures import pdf_bytes
@@ -35,15 +34,7 @@ class Link:
     address: str
 
 
-@dataclass(frozen=True)
-class VerdictText:
-    """Words in the colour of what is as it should be, or of what is not."""
-
-    text: str
-    good: bool
-
-
-Text: TypeAlias = str | tuple[str | Strong | Link | VerdictText, ...]
+Text: TypeAlias = str | tuple[str | Strong | Link, ...]
 
 
 @dataclass(frozen=True)
@@ -103,13 +94,6 @@ class DocumentTable(DocumentRecord):
     words: tuple[int, ...] | None = ()
     stacks: bool = False
     wide: int = 0
-
-
-@dataclass(frozen=True)
-class Beside:
-    """Small tables side by side."""
-
-    tables: tuple[DocumentTable, ...]
 
 
 @dataclass(frozen=True)
@@ -205,7 +189,7 @@ class Section(DocumentRecord):
 
 
 Block: TypeAlias = (
-    Text | Answer | Fact | Note | Listed | DocumentTable | Beside | Plot | Pictures | Tiles | DeltaEScale | Map | Slider | Section
+    Text | Answer | Fact | Note | Listed | DocumentTable | Plot | Pictures | Tiles | DeltaEScale | Map | Slider | Section
 )
 
 
@@ -270,11 +254,6 @@ def pairs(caption: str, values: Mapping[str, Any], digits: int = 4) -> DocumentT
     return DocumentTable(caption, (), tuple(texts.items()), caption)
 
 
-def made_with(*others: DocumentTable) -> Beside:
-    """Return the versions of the packages that made a result, beside other small tables."""
-    return Beside((*others, pairs("versions", versions())))
-
-
 def plain_text(text: Text) -> str:
     """Return words without their marks."""
     return text if isinstance(text, str) else "".join(part if isinstance(part, str) else part.text for part in text)
@@ -282,7 +261,7 @@ def plain_text(text: Text) -> str:
 
 def joined(parts: Iterable[Text], between: str = "; ") -> Text:
     """Return parts as one text."""
-    words: list[str | Strong | Link | VerdictText] = []
+    words: list[str | Strong | Link] = []
     for part in parts:
         words += ([between] if words else []) + ([part] if isinstance(part, str) else list(part))
     return "".join(map(str, words)) if all(isinstance(word, str) for word in words) else tuple(words)

@@ -30,7 +30,6 @@ from pixsim.show.document import (
     Section,
     Strong,
     Text,
-    VerdictText,
     joined,
     plain_text,
 )
@@ -155,7 +154,7 @@ def _marked(text: Text) -> Markup:
     """Return words as HTML."""
     from markupsafe import Markup, escape
 
-    def html_of(part: str | Strong | Link | VerdictText) -> Markup:
+    def html_of(part: str | Strong | Link) -> Markup:
         words = part if isinstance(part, str) else part.text
         marked = Markup(CODE.sub(r"<code>\1</code>", str(escape(words))))
         match part:
@@ -164,8 +163,6 @@ def _marked(text: Text) -> Markup:
                 return Markup(f"<b{kind}>{marked}</b>")
             case Link():
                 return Markup('<a href="{}">{}</a>').format(quote(part.address), marked)
-            case VerdictText():
-                return Markup('<span class="{}">{}</span>').format("yes" if part.good else "no", marked)
         return marked
 
     return Markup().join(html_of(part) for part in ((text,) if isinstance(text, str) else text))
