@@ -12,7 +12,7 @@ from pixsim.show.document import Block, DocumentTable, Fact, Link, Plot, Section
 from pixsim.show.figures import COLOURS, literal, new_figure
 from pixsim.show.pages import Drawing, Plate, figure, figure_files
 from pixsim.show.sentences import capital
-from pixsim.studies.uncertainty import SCATTER, PairUncertainty, Sample, UncertaintyResult, groups_of
+from pixsim.studies.uncertainty import SCATTER, PairUncertainty, Sample, UncertaintyResult
 
 MOST_BARS = 30  # of a histogram
 MOST_RESULTS = 20  # technologies × values × conditions with a section of the page
@@ -21,8 +21,8 @@ DRAWN = (
     "type; the study finds its optimum. All types have the same random numbers, so that they differ by their inputs only. "
 )
 SHARES = (
-    "Shares of the variance that inputs explain, each with its standard error. Numbers whose order ties them are one input. The "
-    "share of the scatter is an upper end: the interval of each type's optimum includes errors that all types have in common."
+    "Shares of the variance that inputs explain, each with its standard error. The share of the scatter is an upper end: the "
+    "interval of each type's optimum includes errors that all types have in common."
 )
 
 
@@ -128,10 +128,10 @@ def largest_share_words(drawn: PairUncertainty) -> str:
 
 
 def input_labels(sample: Sample) -> dict[str, str]:
-    """Return the groups' names for readers: a technology by its label, not the path of its file, where that is unique."""
+    """Return the names of the inputs for readers: a technology by its label, not the path of its file, where that is unique."""
     labels = {}
-    for name, columns in groups_of(sample.inputs).items():
-        technology = list(sample.inputs.values())[columns[0]][0].technology
+    for name, members in sample.inputs.items():
+        technology = members[0].technology
         labels[name] = name.replace(technology, label_of(technology), 1) if technology else name
     texts = list(labels.values())
     return {name: label if texts.count(label) == 1 else name for name, label in labels.items()}

@@ -73,33 +73,32 @@ def ratio_of_means(parts: Array, squares: Array) -> Share:
     return Share(max(float(share), 0.0), float(influence.std() / math.sqrt(parts.size)))
 
 
-def first_order(coordinates: Array, values: Array, groups: Mapping[str, Sequence[int]]) -> dict[str, Share]:
-    """Return the share of a result's variance that each group of inputs explains alone.
+def first_order(coordinates: Array, values: Array, names: Sequence[str]) -> dict[str, Share]:
+    """Return the share of a result's variance that each input explains alone.
 
     coordinates : (n, k) inputs that are independent, in units in which they are uniform or normal
     values : (n,) the result
-    groups : name -> columns of `coordinates`; several columns of a group have their products as terms too
+    names : of the inputs, (k,)
 
-    Shares need more draws than terms (5 for one input), else they are NaN. An estimate below 0 counts as 0. An input whose
+    Shares need at least 5 draws, else they are NaN. An estimate below 0 counts as 0. An input whose
     effect turns more than twice over its range is underestimated: of Ishigami's second input, a cubic finds 0.02 of 0.44.
 
     The standard error has two parts: that of the efficient estimator of the share (S. Da Veiga and F. Gamboa, J. Nonparametr.
     Stat. 25 (2013) 573), and that of R² of p terms without any effect, √(2p/((n - 1 - p)(n + 1))).
     """
     if not does_vary(values):
-        return {name: Share() for name in groups}
+        return {name: Share() for name in names}
     count = values.size
     deviations = values - values.mean()
     variance = float(np.mean(deviations**2))
 
-    shares = {}
-    for name, columns in groups.items():
-        terms = regression_terms(coordinates[:, columns])
-        freedom = count - 1 - terms.shape[1]
-        if freedom < 1:
-            shares[name] = Share()
-            continue
+    freedom = count - 1 - DEGREE
+    if freedom < 1:
+        return {name: Share() for name in names}
 
+    shares = {}
+    for name, column in zip(names, coordinates.T, strict=True):
+        terms = np.column_stack([column**degree for degree in range(1, DEGREE + 1)])
         basis, _ = np.linalg.qr(terms - terms.mean(axis=0))
         fitted = basis @ (basis.T @ deviations)
         r_squared = float(np.mean(fitted**2)) / variance
@@ -108,35 +107,28 @@ def first_order(coordinates: Array, values: Array, groups: Mapping[str, Sequence
         # The fit follows a part of the noise too: its variance is taken to be the share.
         fitted *= math.sqrt(share / r_squared)
         influence = (2 * deviations * fitted - fitted**2 - share * deviations**2) / variance
-        without_effect = 2 * terms.shape[1] / (freedom * (count + 1))
+        without_effect = 2 * DEGREE / (freedom * (count + 1))
         error = math.sqrt(influence.var() / count + (1 - share) ** 2 * without_effect)
         shares[name] = Share(share, error)
     return shares
 
 
-def regression_terms(coordinates: Array) -> Array:
-    """Return powers of each of the coordinates (n, g) up to `DEGREE`, and the product of all if there are several, (n, terms)."""
-    powers = [coordinates**degree for degree in range(1, DEGREE + 1)]
-    if coordinates.shape[1] > 1:
-        powers.append(coordinates.prod(axis=1, keepdims=True))
-    return np.hstack(powers)
+def saltelli(sobol: Array) -> Array:
+    """Return the points (n(k + 2), k) of Saltelli's design from those of a Sobol' sequence, (n, 2k).
 
-
-def saltelli(sobol: Array, groups: Sequence[Sequence[int]]) -> Array:
-    """Return the points (n(groups + 2), k) of Saltelli's design from those of a Sobol' sequence, (n, 2k).
-
-    First A, then B, then for each group of columns A with these columns of B.
+    First A, then B, then for each column A with this column of B.
     """
     a, b = np.hsplit(sobol, 2)
-    mixed = [np.where(np.isin(np.arange(a.shape[1]), columns), b, a) for columns in groups]
+    columns = np.arange(a.shape[1])
+    mixed = [np.where(columns == column, b, a) for column in columns]
     return np.vstack([a, b, *mixed])
 
 
 def total_indices(values: Array, names: Sequence[str]) -> dict[str, dict[str, Share]]:
-    """Return the first-order and the total share of each group of inputs, as `first` and `total`.
+    """Return the first-order and the total share of each input, as `first` and `total`.
 
-    values : (n(groups + 2),) the result at the points of `saltelli`, in their order
-    names : of the groups
+    values : (n(k + 2),) the result at the points of `saltelli`, in their order
+    names : of the inputs, (k,)
 
     Source: Saltelli et al. (2010), Table 2 (b) for first-order shares, with the points' mean removed, and Jansen (1999).
     """
@@ -178,7 +170,6 @@ class Unknown:
     allowed : bounds of the quantity, at which the distribution is cut off
     of_sheet : whether a data sheet states it; then it shares its draw with no other sensor
     process : name of the technology, if several sensors have it and share the draw
-    tied : name of the pair of numbers whose order limits the ranges of both; empty for none
 
     Raises PixsimError if more than half of the distribution is out of bounds.
     """
@@ -190,7 +181,6 @@ class Unknown:
     allowed: tuple[float, float] = (-math.inf, math.inf)
     of_sheet: bool = False
     process: str = ""
-    tied: str = ""
 
     def __post_init__(self) -> None:
         if self.spread.kind == "lognormal" and self.value <= 0:
@@ -278,14 +268,11 @@ def unknowns_of_technology(technology: Technology, name: str, known: Sequence[st
         lowest = float(large.at(np.array([HALF_CELL]))[0]) if large else values[1]
         if highest <= lowest:
             continue
-        if small and large:
-            limit, tied = sum(values) / 2, f"{name} {' and '.join(pair)}"
-        else:
-            limit, tied = values[1] if small else values[0], ""
+        limit = values[1] if large is None else values[0] if small is None else sum(values) / 2
         if small:
-            unknowns[small.quantity] = replace(small, allowed=(small.allowed[0], limit), tied=tied)
+            unknowns[small.quantity] = replace(small, allowed=(small.allowed[0], limit))
         if large:
-            unknowns[large.quantity] = replace(large, allowed=(limit, large.allowed[1]), tied=tied)
+            unknowns[large.quantity] = replace(large, allowed=(limit, large.allowed[1]))
     return list(unknowns.values())
 
 
@@ -410,28 +397,19 @@ class Sample:
         return {name: [unknown.as_dict() for unknown in members] for name, members in self.inputs.items()}
 
     def shares(self, values: Array, scatter_variances: Array, *, total: bool = False) -> dict[str, dict[str, Share]]:
-        """Return the shares of a result's variance: input -> `first` -> share. Inputs that an order ties are one.
+        """Return the shares of a result's variance: input -> `first` -> share.
 
         values : (n,) the result of each type
         scatter_variances : (n,) variance of each result by its own interval, for the share of `SCATTER`; NaN where it is not known
         total : whether the types are those of `sobol_points`, which tell the `total` shares too
         """
-        groups = groups_of(self.inputs)
         scatter = scatter_share(values, scatter_variances)
         if total:
-            return total_indices(values, list(groups)) | {SCATTER: {"first": scatter, "total": scatter}}
+            return total_indices(values, list(self.inputs)) | {SCATTER: {"first": scatter, "total": scatter}}
         unknowns = zip(self.inputs.values(), self.quantiles.T, strict=True)
         coordinates = np.column_stack([members[0].coordinate(quantile) for members, quantile in unknowns])
-        first = first_order(coordinates, values, groups) | {SCATTER: scatter}
+        first = first_order(coordinates, values, list(self.inputs)) | {SCATTER: scatter}
         return {name: {"first": share} for name, share in first.items()}
-
-
-def groups_of(inputs: Mapping[str, Sequence[Unknown]]) -> dict[str, list[int]]:
-    """Return the numbers of the inputs that an order ties, by the name of the pair, and each other one by its own name."""
-    groups: dict[str, list[int]] = {}
-    for column, (name, unknowns) in enumerate(inputs.items()):
-        groups.setdefault(unknowns[0].tied or name, []).append(column)
-    return groups
 
 
 def scatter_share(values: Array, scatter_variances: Array) -> Share:
@@ -480,12 +458,12 @@ def sample_types(unknowns: Sequence[Unknown], n: int, seed: int = 0) -> Sample:
 
 
 def sobol_points(unknowns: Sequence[Unknown], n: int, seed: int = 0) -> Sample:
-    """Return the n(groups + 2) sensor types of `pixsim.studies.uncertainty.total_indices`, n rounded up to a power of two.
+    """Return the n(inputs + 2) sensor types of `pixsim.studies.uncertainty.total_indices`, n rounded up to a power of two.
 
     Raises PixsimError for no unknowns.
     """
     inputs = inputs_of(unknowns)
-    return Sample(inputs, saltelli(sobol(n, 2 * len(inputs), seed), list(groups_of(inputs).values())))
+    return Sample(inputs, saltelli(sobol(n, 2 * len(inputs), seed)))
 
 
 @dataclass(frozen=True)
