@@ -485,7 +485,8 @@ GOOD_MESHES = {
     "ascii.ply": ply(), "crlf.ply": ply().replace(b"\n", b"\r\n"), "unsigned.ply": ply(of="list uchar uint vertex_index"),
     "edges.ply": ply("3 0 1 2\n3 1 2 3\n0 1\n", more="element edge 1\nproperty int a\nproperty int b\n"),
     "little.ply": PLY, "v3.serialized": serialized([0, 1, 2], version=3), "v4.serialized": serialized([0, 1, 2]),
-    "a.obj": (OBJ + "f 1/1/1 2/1/1 3/1/1\r\n f 1/1/1\t2/1/1 3/1/1 ").encode(), "uv.obj": (POINTS + "vt 0 0\nf 1/1 2/1/ 3/1").encode(),
+    "a.obj": (OBJ + "f 1/1/1 2/1/1 3/1/1\r\n f 1/1/1\t2/1/1 3/1/1 ").encode(),
+    "uv.obj": (POINTS + "vt 0 0\nf 1/1 2/1/ 3/1").encode(),
     "normals.obj": (POINTS + "vn 0 0 1\nf 1//1 2//1 3//1\n").encode(), "plain.obj": (POINTS + "f 1 2// 3/\n").encode(),
 }  # fmt: skip
 BAD_MESHES = {
@@ -505,7 +506,8 @@ BAD_MESHES = {
     "beyond.obj": ((OBJ + "f 1 2 4\n").encode(), "invalid vertex 4"), "uv.obj": ((OBJ + "f 1/1 2/2 3/1\n").encode(), "texture"),
     "normal.obj": ((OBJ + "f 1/1/1 2/1/2 3/1/1\n").encode(), "normal 2"),
     "negative.obj": ((OBJ + "f -1 -2 -3\n").encode(), "invalid vertex"),
-    "part uv.obj": ((OBJ + "f 1/1/1 2/1/1 3/1/1\nf 1/1/1 2//1 3/1/1").encode(), "without texture coordinates in line 7, beside others"),
+    "part uv.obj": ((OBJ + "f 1/1/1 2/1/1 3/1/1\nf 1/1/1 2//1 3/1/1").encode(),
+        "without texture coordinates in line 7, beside others"),
     "part normals.obj": ((OBJ + "f 1/1/1 2/1/1 3/1\n").encode(), "without normals in line 6"),
     "no corners with uv.obj": ((POINTS + "vt 0 0\n\tf 1 2 3\n").encode(), "without texture coordinates in line 5"),
     "long.obj": ((OBJ + "f" + " 1 2 3" * 999).encode(), "long line"),
