@@ -21,8 +21,8 @@ from pixsim.light.spectral import HIGH_NM, LOW_NM, VISIBLE, WHITE_LAMPS, Span, S
 from pixsim.optics.camera import Camera
 from pixsim.scene.job import AssetFile
 from pixsim.scene.mitsuba import evaluate_reflection, evaluate_spectrum, mitsuba_folder, warnings_of
-from pixsim.scene.textures import EIGHT_BIT, METAL_BY_NAME, check_texels
-from pixsim.scene.tree import Node, SpectrumTable, Tree, children, nodes_of, plain
+from pixsim.scene.textures import EIGHT_BIT, METAL_BY_NAME, check_share, check_texels
+from pixsim.scene.tree import Node, SpectrumTable, Tree, children, nodes_of, numbers, plain
 
 # The property with the spectrum of each stock emitter.
 EMISSION = dict.fromkeys(("area", "constant", "directionalarea"), "radiance")
@@ -136,11 +136,6 @@ def _emission(state: Tree, emitter: Node) -> tuple[tuple[Any, ...], float, int |
 def is_neutral(texture: Node) -> bool:
     """Return whether a texture multiplies all wavelengths alike: a raw bitmap does."""
     return texture.plugin == "bitmap" and bool(texture.get("raw", False))
-
-
-def numbers(text: object) -> list[float]:
-    """Parse the numbers of a property: "1 2 3", "1, 2, 3" or "[1, 2, 3]"."""
-    return [float(number) for number in str(text).strip("[]").replace(",", " ").split()]
 
 
 def parsed_table(value: SpectrumTable) -> Spectrum:
@@ -376,7 +371,7 @@ def find_surfaces(state: Tree, variant: str, span: Span = VISIBLE, beyond: Beyon
     if nodes_of(state, "Medium"):
         return found(None, "a medium of unknown spectra")
     for index, node in nodes_of(state, "BSDF"):
-        plugin, words = node.plugin, f"'{node.id}'" if node.id and not node.id.startswith("_") else f"a {node.plugin}"
+        plugin, words = node.plugin, words_of(node)
         if len(spectra) > MAX_SPECTRA:
             return found(None, f"more than {MAX_SPECTRA} spectra of surfaces")
         if plugin not in SPECTRA:
@@ -616,6 +611,7 @@ def face_one_way(bodies: list[Body]) -> bool:
 PLAIN_SPECTRA = ("uniform", "d65", "blackbody", "regular", "irregular", "srgb")
 # Maps that are neither light nor reflectance may have any values and channels.
 MAPS = ("normalmap", "bumpmap", "mask", "blendbsdf")
+NUMBERS_OF_TEXTURES = ("value", "values", "color0", "color1")
 MAP_NAMES = ("alpha", "alpha_u", "alpha_v", "roughness", "metallic", "anisotropic", "weight", "opacity")
 
 
@@ -636,7 +632,7 @@ def asset_files(state: Tree) -> tuple[AssetFile, ...]:
     for node in state.nodes:
         for name, index in children(node, state).items():
             (maps if _takes_map(node, name) else others).add(index)
-            if node.kind == "BSDF" and (name.endswith(("reflectance", "transmittance")) or name == "base_color"):
+            if _is_share(node, name):
                 for part in (index, *children(state.nodes[index], state).values()):  # of a checkerboard
                     shares[part] = f"{node.plugin}.{name}"
     files = []
@@ -647,6 +643,43 @@ def asset_files(state: Tree) -> tuple[AssetFile, ...]:
             shape_index = int(node.get("shape_index", 0))
             files.append(AssetFile(str(path), digest_of(path), node.plugin, shape_index, has_light, shares.get(index, "")))
     return tuple(files)
+
+
+def _is_share(node: Node, name: str) -> bool:
+    """Return whether a property of a node is a share of the light that a surface sends back."""
+    return node.kind == "BSDF" and (name.endswith(("reflectance", "transmittance")) or name == "base_color")
+
+
+def check_shares(state: Tree) -> None:
+    """Warn of reflectances above 1, and raise PixsimError above 1.5, where the XML has their numbers."""
+    for node in state.nodes:
+        for name in node:
+            if _is_share(node, name):
+                highest = max(_numbers_of(state, node, name), default=0.0)
+                check_share(highest, f"{node.plugin}.{name}", f"bsdf {words_of(node)}")
+
+
+def _numbers_of(state: Tree, node: Node, name: str) -> list[float]:
+    """Return the numbers of a property, also of a texture in it and of those within that."""
+    index = children(node, state).get(name)
+    if index is not None:
+        texture = state.nodes[index]
+        parts = [_numbers_of(state, texture, part) for part in NUMBERS_OF_TEXTURES if part in texture]
+        return [number for part in parts for number in part]
+    match node.kind_of(name):
+        case "Spectrum":
+            return list(node[name].values)
+        case "Color":
+            return numbers(node.text_of(name))
+        case "Float" | "Integer" | "String":
+            with suppress(ValueError):  # Mitsuba says it
+                return numbers(node[name])
+    return []
+
+
+def words_of(node: Node) -> str:
+    """Return the id of a node that has one, or its plugin, for messages."""
+    return f"'{node.id}'" if node.id and not node.id.startswith("_") else f"a {node.plugin}"
 
 
 def _takes_map(node: Node, name: str) -> bool:

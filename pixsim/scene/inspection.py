@@ -30,6 +30,7 @@ from pixsim.scene.contents import (
     Body,
     Lamp,
     Surfaces,
+    check_shares,
     checked_lamps,
     find_bodies,
     find_lamps,
@@ -132,6 +133,7 @@ def inspect_scene(scene: Scene, camera: Camera, pixels: Sequence[PixelPhysics]) 
     state, reading = scene.for_camera(camera), scene.choice.reading
     sensor = sensor_node(state, scene.sensor_id)[1]
     height, width = scene.film_shape(camera, state)
+    check_shares(state)
     all_lamps = find_lamps(state, reading)
     span = span_of([lamp.spectrum for lamp in all_lamps if lamp.spectrum is not None], pixels)
     lamps = checked_lamps(all_lamps, span)

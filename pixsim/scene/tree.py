@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from graphlib import CycleError, TopologicalSorter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -12,8 +13,11 @@ from numpy.typing import ArrayLike
 
 from pixsim.base import cache
 from pixsim.base.arrays import Array
-from pixsim.base.errors import invalid
+from pixsim.base.bounds import LARGEST
+from pixsim.base.errors import PixsimError, did_you_mean, invalid, quoted
 from pixsim.base.records import content_hash
+from pixsim.light.spectral import HIGH_NM, LOW_NM
+from pixsim.light.tables import unit_hint
 from pixsim.scene.mitsuba import parse
 
 if TYPE_CHECKING:
@@ -22,6 +26,8 @@ if TYPE_CHECKING:
 
 REFERENCES = ("ResolvedReference", "Reference", "Object")  # kinds of properties that are other nodes
 MAX_TEXT = 1 << 20  # characters of a scene whose tree is kept
+MAX_NESTED = 24  # references within references
+LIKELY_NM = (150.0, 3000.0)  # of a table: one whose numbers are so in another unit, and not in nm, has that unit
 MAX_SMALL, SMALL_TREES = 1 << 16, 32  # characters of a scene whose tree stays in memory, and how many do
 
 
@@ -94,7 +100,10 @@ def children(node: Node, state: Tree) -> dict[str, int]:
             indices[name] = node[name]
         elif node.kind_of(name) == "Reference":
             if node[name] not in state.id_to_index:
-                raise invalid("scene", f"a reference to '{node[name]}', which does not exist", "ids of the scene's nodes")
+                hint = did_you_mean(node[name], state.id_to_index)
+                raise invalid(
+                    "scene", f"a reference to {quoted(node[name])}, which does not exist", "ids of the scene's nodes", hint
+                )
             indices[name] = state.id_to_index[node[name]]
     return indices
 
@@ -106,22 +115,27 @@ def plain(node: Node, numbers_only: bool = True) -> Iterator[tuple[str, Any]]:
             yield name, text if value is None else value
 
 
+def numbers(text: object) -> list[float]:
+    """Parse the numbers of a property: "1 2 3", "1, 2, 3" or "[1, 2, 3]"."""
+    return [float(number) for number in str(text).strip("[]").replace(",", " ").split()]
+
+
 def nodes_of(state: Tree, kind: str) -> list[tuple[int, Node]]:
     """Return the nodes of a kind, with their indices."""
     return [(index, node) for index, node in enumerate(state.nodes) if node.kind == kind]
 
 
 def parse_tree(text: str, variant: str) -> Tree:
-    """Return the tree of an inspected text. Raises PixsimError if Mitsuba cannot parse it."""
+    """Return the tree of an inspected text. Raises PixsimError if Mitsuba cannot parse it, and as `check_tree` does."""
     if len(text) > MAX_TEXT:
-        return tree_of(parse(text, variant))
+        return check_tree(tree_of(parse(text, variant)))
     return _last_trees(text, variant) if len(text) <= MAX_SMALL else _kept_tree(text, variant)
 
 
 def _kept_tree(text: str, variant: str) -> Tree:
     """Return the tree of a text, which is kept in the cache."""
     key = content_hash([cache.version_fingerprint("mitsuba", "drjit"), variant, text])
-    return cache.load_or_compute("trees", key, _from_json, lambda: tree_of(parse(text, variant)), _to_json)
+    return cache.load_or_compute("trees", key, _from_json, lambda: check_tree(tree_of(parse(text, variant))), _to_json)
 
 
 _last_trees = lru_cache(SMALL_TREES)(_kept_tree)  # a case of a study asks for its trees ten times
@@ -134,6 +148,49 @@ def tree_of(state: ParserState) -> Tree:
         own = {name: _property(node.props, name) for name in node.props.keys()}  # noqa: SIM118
         nodes.append(Node(node.type.name, node.props.plugin_name(), node.props.id(), own))
     return Tree(nodes, {str(name): int(index) for name, index in dict(state.id_to_index).items()})
+
+
+def check_tree(tree: Tree) -> Tree:
+    """Return a tree, checked for what Mitsuba would take as it is.
+
+    Raises PixsimError for numbers that are NaN or above 1e30, for tables of spectra in another unit than nm, and for references
+    that are circular or deep, which Mitsuba would follow without limit.
+    """
+    for node in tree.nodes:
+        for name, (kind, value, _) in node.properties.items():
+            what = f"{node.plugin}.{name}"
+            if kind == "Spectrum":
+                values = np.array([*value.wavelengths, *value.values], float)
+                if not value.uniform:
+                    _check_unit(what, value.wavelengths)
+            elif kind in ("Float", "Integer", "Vector", "Transform"):
+                values = np.array(value, float)
+            elif kind == "Color":
+                values = np.array(numbers(node.text_of(name)))
+            else:
+                continue
+            wrong = values[~(np.abs(values) <= LARGEST)]
+            if wrong.size:
+                raise invalid(what, f"{wrong[0]:g}", f"numbers from {-LARGEST:g} to {LARGEST:g}")
+
+    references = {index: list(children(node, tree).values()) for index, node in enumerate(tree.nodes)}
+    depth = [0] * len(tree.nodes)
+    try:
+        for index in TopologicalSorter(references).static_order():
+            depth[index] = max((depth[child] + 1 for child in references[index]), default=0)
+    except CycleError:
+        raise PixsimError("scene: got circular references; allowed: references without a cycle.") from None
+    if max(depth) > MAX_NESTED:
+        raise invalid("scene", f"references nested {max(depth)} deep", f"at most {MAX_NESTED}")
+    return tree
+
+
+def _check_unit(what: str, wavelengths_nm: Sequence[float]) -> None:
+    """Raise PixsimError for a table that ends outside the visible range and would not in another unit."""
+    low_nm, high_nm = wavelengths_nm[0], wavelengths_nm[-1]
+    if (high_nm < LOW_NM or low_nm > HIGH_NM) and (hint := unit_hint(wavelengths_nm, LIKELY_NM)):
+        got = f"wavelengths from {low_nm:g} to {high_nm:g} nm"
+        raise invalid(what, got, f"nm, of which {LOW_NM:g} to {HIGH_NM:g} are computed", f"{hint}.")
 
 
 def _property(props: mitsuba.Properties, name: str) -> Property:

@@ -14,7 +14,6 @@ from pixsim.base.errors import PixsimError
 from pixsim.base.problems import explain
 from pixsim.base.records import checked
 from pixsim.optics.prescription import read_prescription
-from pixsim.scene.guard.inspector import open_scene
 from pixsim.sensor.pixel_options import PixelOptions
 from pixsim.sensor.technology import load_technology
 from pixsim.viewer.setting import Run
@@ -50,7 +49,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "csv": lambda path: PixelOptions.model_validate({"quantum_efficiency": str(path)}),
     "channels": lambda path: PixelOptions.model_validate({"colour": {"sensitivities": str(path)}}),
     "settings": lambda path: checked(Run, [settings_layer(path)]),
-    "xml": lambda path: open_scene(path, {}),
+    "xml": lambda path: pixsim.load_scene(path, variant="scalar_spectral"),
 }
 SUFFIXES = {"zmx": ".zmx", "csv": ".csv", "channels": ".csv", "xml": ".xml"}
 
@@ -109,8 +108,8 @@ def test_what_the_user_types_is_quoted(tmp_path: Path) -> None:
     scene = tmp_path / "scene.xml"
     text = '<default name="r" value="1"/><shape type="sphere"><float name="radius" value="$r"/></shape>'
     scene.write_text(SCENE.format(text), encoding="utf-8")
-    with pytest.raises(PixsimError, match=re.escape(f"got '{KEY}'")):
-        open_scene(scene, {"r": KEY})
+    with pytest.raises(PixsimError, match=re.escape(f"floating point value '{KEY}'")):
+        pixsim.load_scene(scene, r=KEY, variant="scalar_spectral")
     with pytest.raises(PixsimError, match=re.escape(f"got '{KEY}'")):
         pixsim.read_irradiance(npz(tmp_path), units=KEY, pitch_um=1.0)
 

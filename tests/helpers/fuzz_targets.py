@@ -195,7 +195,8 @@ def _element(draw: st.DrawFn, kind: str, name: str = "", deep: int = 0) -> str:
     if draw(st.integers(0, 15)) == 0:
         plugin = draw(st.sampled_from(["../x", "blender", "", "scene", "a" * 999]))
     names = st.lists(st.sampled_from(sorted(content.properties)), max_size=3, unique=True) if content.properties else st.just([])
-    inside = [draw(_property(content.properties[each], each, deep)) for each in {*content.needs, *draw(names)}]
+    needed = content.properties.keys() & {"filename"}
+    inside = [draw(_property(content.properties[each], each, deep)) for each in {*needed, *draw(names)}]
     if content.holds and deep < 4:
         inside += [draw(_element(draw(st.sampled_from(content.holds)), deep=deep + 1)) for _ in range(draw(st.integers(0, 2)))]
     return f'<{kind} type="{plugin}"{named}>{"".join(inside)}</{kind}>'

@@ -573,19 +573,6 @@ def test_load_scene_missing_file_names_its_line_and_the_folder(tmp_path, monkeyp
     assert str(error.value).startswith(expected)
 
 
-@pytest.mark.parametrize(("plugin", "name"), [("principled", "base_color"), ("diffuse", "reflectance")])
-@pytest.mark.parametrize("value", [1.0, 1.5, -0.5])
-def test_load_scene_rgb_of_a_reflectance_is_from_0_to_1(tmp_path, plugin, name, value):
-    """As Mitsuba has it."""
-    element = BALL.format(plugin, f'<rgb name="{name}" value="{value}, 0.5, 0.5"/>')
-    path = edited(tmp_path, "macbeth", (END, element))
-    if value == 1.0:
-        pixsim.load_scene(path)
-        return
-    with pytest.raises(PixsimError, match=rf"{plugin}\.{name}: got '{value}' in line \d+ of '{path.name}'; allowed: 0 to 1"):
-        pixsim.load_scene(path)
-
-
 # --- The content hash ---
 
 

@@ -199,10 +199,10 @@ def test_what_mitsuba_refuses_has_the_line_of_the_user_s_file(tmp_path: Path) ->
         '<scene version="3.0.0">\n\n\n<bsdf type="twosided" id="paint"><bsdf type="dielectric"/></bsdf></scene>', encoding="utf-8"
     )
     bad = '<bsdf type="blendbsdf"><float name="weight" value="0.5"/><bsdf type="diffuse"/></bsdf>'
-    with pytest.raises(PixsimError, match=r'In line 8 of \'scene\.xml\': .* bsdf plugin of type "blendbsdf": .*Two child BSDFs'):
+    with pytest.raises(PixsimError, match=r"In line 8 of 'scene\.xml': .* bsdf plugin of type 'blendbsdf': .*Two child BSDFs"):
         pixsim.render(scene_of(tmp_path, CONSTANT + "\n" + WALL.format(bad)))
     include = '<include filename="part.xml"/>' + CONSTANT + WALL.format('<ref id="paint"/>')
-    with pytest.raises(PixsimError, match=r'In line 4 of \'part\.xml\': .* bsdf plugin of type "twosided": .*transmission'):
+    with pytest.raises(PixsimError, match=r"In line 4 of 'part\.xml': .* bsdf plugin of type 'twosided': .*transmission"):
         pixsim.render(scene_of(tmp_path, include))
 
 

@@ -17,12 +17,11 @@ import os
 import re
 from dataclasses import dataclass, field
 from functools import cached_property
-from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from xml.parsers import expat
 
 from pixsim.base.caller import parameter
-from pixsim.base.errors import PLAIN_WORD, PixsimError, excerpt, invalid
+from pixsim.base.errors import PLAIN_WORD, excerpt, invalid
 from pixsim.base.files import is_utf8, missing, read_text
 from pixsim.scene.guard.assets import NUMBER
 from pixsim.scene.packaged import packaged_folder
@@ -47,8 +46,6 @@ class SceneElement:
     """An element of a scene, with its parameters and includes resolved.
 
     file, line : where it is written, for messages
-    parameter : names of the parameters that its value has, separated by commas
-    typed : whether all of them were given with the command, not by the file
     """
 
     tag: str
@@ -56,8 +53,6 @@ class SceneElement:
     children: tuple[SceneElement, ...]
     file: Path
     line: int
-    parameter: str = ""
-    typed: bool = False
 
     @property
     def place(self) -> str:
@@ -204,10 +199,7 @@ def _read(path: Path, scene: SceneFiles, includes_deep: int, deep: int) -> Scene
     text = without_comments(text)
     parser = expat.ParserCreate("utf-8")
     # For each element that is open: what it will be, and its children so far.
-    open_elements: list[tuple[str, dict[str, str], int, str, list[SceneElement]]] = [("", {}, 0, "", [])]
-
-    def is_typed(parameter: str) -> bool:
-        return bool(parameter) and all(name in scene.given for name in parameter.split(", "))
+    open_elements: list[tuple[str, dict[str, str], int, list[SceneElement]]] = [("", {}, 0, [])]
 
     def begins(tag: str, written: dict[str, str]) -> None:
         line = parser.CurrentLineNumber
@@ -226,13 +218,12 @@ def _read(path: Path, scene: SceneFiles, includes_deep: int, deep: int) -> Scene
             open_elements[-1][-1].extend(root.children if root.tag == "scene" else (root,))
         elif tag == "path":
             _take_folder(attributes.get("value", ""), path, scene)
-        used = dict.fromkeys(name for name in DOLLAR.findall("".join(written.values())) if name)
-        open_elements.append((tag, attributes, line, ", ".join(used), []))
+        open_elements.append((tag, attributes, line, []))
 
     def ends(_: str) -> None:
-        tag, attributes, line, parameter, children = open_elements.pop()
+        tag, attributes, line, children = open_elements.pop()
         if tag not in ("default", "include", "path"):
-            open_elements[-1][-1].append(SceneElement(tag, attributes, tuple(children), path, line, parameter, is_typed(parameter)))
+            open_elements[-1][-1].append(SceneElement(tag, attributes, tuple(children), path, line))
         elif children:
             raise invalid(f"scene '{path}'", f"an element within <{tag}> in line {line}", "none")
 
@@ -324,18 +315,3 @@ def _write(node: SceneElement, lines: list[str], places: list[str]) -> None:
 def escaped(value: str) -> str:
     # Mitsuba would take a dollar for a parameter unless a backslash is before it.
     return TO_ESCAPE.sub(lambda found: f"&#{ord(found[0])};", value.replace("$", "\\$"))
-
-
-def check_references(nodes: list[list[int]]) -> None:
-    """Raise PixsimError if references are circular or nested too deep; Mitsuba would follow them without limit.
-
-    nodes : for each node, the indices of the nodes that it refers to
-    """
-    below = [0] * len(nodes)  # depth of references of each node
-    try:
-        for index in TopologicalSorter(dict(enumerate(nodes))).static_order():
-            below[index] = max((below[child] + 1 for child in nodes[index]), default=0)
-    except CycleError:
-        raise PixsimError("scene: got circular references; allowed: references without a cycle.") from None
-    if max(below, default=0) > MAX_DEPTH:
-        raise invalid("scene", f"references nested {max(below)} deep", f"at most {MAX_DEPTH}")

@@ -13,7 +13,7 @@ from types import ModuleType
 
 import numpy as np
 
-from pixsim.base.errors import PixsimError, invalid, quoted
+from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.machine import memory, text_of
 from pixsim.scene.guard.files import escaped
 from pixsim.scene.job import MESHES, AssetFile, TraceJob
@@ -21,7 +21,6 @@ from pixsim.scene.mitsuba import speaking_mitsuba
 from pixsim.scene.textures import check_texels, has_floats
 from pixsim.scene.variants.graphics import CUDA
 
-QUOTED = re.compile(r'"([^"]*)"')
 LEAST_BYTES = 4 << 30
 BYTES_PER_BYTE = 16  # of a file: a compressed half is a float of a picture and of its copies; a face is part of a tree
 # A corner of an OBJ's face that names no texture coordinates, or no normal.
@@ -59,7 +58,7 @@ def check_files(job: TraceJob) -> list[float]:
     """Return the highest texel of each file that is a share of light; 0 for the others.
 
     Raises PixsimError for a file that Mitsuba cannot read, corners that are none of a mesh's vertices, vertices and texels that are
-    not finite, and negative light. It quotes no more of a file than plain words.
+    not finite, and negative light.
     """
     highest = []
     for file in job.files:
@@ -69,13 +68,8 @@ def check_files(job: TraceJob) -> list[float]:
             lines = job.text.splitlines()
             line = next(number for number, text in enumerate(lines, 1) if escaped(file.path) in text)
             name = Path(file.path).name
-            raise PixsimError(f"At string (line {line}, col 1), '{name}': {_without_content(str(error), name)}") from None
+            raise PixsimError(f"At string (line {line}, col 1), '{name}': {error}") from None
     return highest
-
-
-def _without_content(message: str, name: str) -> str:
-    """Return a message of Mitsuba's that quotes no more of a file's content than plain words."""
-    return QUOTED.sub(lambda word: word[0] if name in word[1] else quoted(word[1]), message)
 
 
 @lru_cache(maxsize=512)

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, replace
 
 from pixsim.scene.textures import METAL_BY_NAME
 
-LARGEST = 1e30  # magnitude of any number: float32 ends at 3.4e38
 NUMBER_TAGS = ("float", "integer")
 COLOUR_TAGS = (*NUMBER_TAGS, "spectrum", "rgb")
 
@@ -22,36 +21,26 @@ class Allowed:
     tags : elements that state it
     kinds : plugins that it may be, besides
     file : kind of the file that a string names: texture, mesh, volume; or metal, a table of Mitsuba's own
-    has_numbers : whether a string is a list of numbers
-    rgb_of_surface : each number of an <rgb> is from 0 to 1, as Mitsuba has it where it makes a reflectance of them
-    is_share : a share of the light, as a reflectance is: numbers above 1 are warned of, and those above 1.5 refused
     instead : what to write in place of an element that is not allowed
     """
 
     tags: tuple[str, ...]
     kinds: tuple[str, ...] = ()
     file: str | None = None
-    has_numbers: bool = False
-    rgb_of_surface: bool = False
-    is_share: bool = False
     instead: str = ""
 
 
 @dataclass(frozen=True)
 class Plugin:
-    """The properties of a plugin, those that it needs, and the kinds of plugins that it may hold under any name."""
+    """The properties of a plugin, and the kinds of plugins that it may hold under any name."""
 
     properties: dict[str, Allowed] = field(default_factory=dict)
-    needs: tuple[str, ...] = ()
     holds: tuple[str, ...] = ()
 
 
 NUMBER, WHOLE, FLAG, WORD = Allowed(NUMBER_TAGS), Allowed(("integer",)), Allowed(("boolean",)), Allowed(("string",))
 TRANSFORM, PLACE = Allowed(("transform",)), Allowed(("point", "vector"))
 COLOUR = Allowed(COLOUR_TAGS, kinds=("texture",))
-SURFACE = replace(COLOUR, rgb_of_surface=True)
-SHARE = replace(SURFACE, is_share=True)
-NUMBERS = Allowed(("string",), has_numbers=True)
 # A spectrum is refused later, with its reason: Mitsuba has one index for all wavelengths.
 INDEX = Allowed(("string", *COLOUR_TAGS), kinds=("texture",))
 INDEX_OF_METAL = replace(COLOUR, tags=(*NUMBER_TAGS, "spectrum"), instead=METAL_BY_NAME)
@@ -84,19 +73,19 @@ OF_PICTURES = (
     each(PICTURE, "filename") | each(WORD, "filter_type wrap_mode format") | each(FLAG, "raw accel") | each(TRANSFORM, "to_uv")
 )
 OF_TABLES = each(NUMBER, "wavelength_min wavelength_max")
-OF_DIELECTRICS = each(INDEX, "int_ior ext_ior") | each(SHARE, "specular_reflectance specular_transmittance")
+OF_DIELECTRICS = each(INDEX, "int_ior ext_ior") | each(COLOUR, "specular_reflectance specular_transmittance")
 OF_ROUGH = each(COLOUR, "alpha alpha_u alpha_v") | each(WORD, "distribution") | each(FLAG, "sample_visible")
-OF_METALS = each(METAL, "material") | each(INDEX_OF_METAL, "eta k") | each(SHARE, "specular_reflectance")
-OF_PLASTICS = each(SHARE, "diffuse_reflectance specular_reflectance") | each(INDEX, "int_ior ext_ior") | each(FLAG, "nonlinear")
+OF_METALS = each(METAL, "material") | each(INDEX_OF_METAL, "eta k") | each(COLOUR, "specular_reflectance")
+OF_PLASTICS = each(COLOUR, "diffuse_reflectance specular_reflectance") | each(INDEX, "int_ior ext_ior") | each(FLAG, "nonlinear")
 OF_PRINCIPLED = (
-    each(SHARE, "base_color")
-    | each(SURFACE, "roughness anisotropic spec_trans spec_tint sheen sheen_tint flatness")
+    each(COLOUR, "base_color")
+    | each(COLOUR, "roughness anisotropic spec_trans spec_tint sheen sheen_tint flatness")
     | each(NUMBER, "eta diffuse_reflectance_sampling_rate")
 )
-OF_THICK = each(SURFACE, "metallic clearcoat clearcoat_gloss") | each(
+OF_THICK = each(COLOUR, "metallic clearcoat clearcoat_gloss") | each(
     NUMBER, "specular main_specular_sampling_rate clearcoat_sampling_rate"
 )
-OF_THIN = each(SURFACE, "diff_trans") | each(
+OF_THIN = each(COLOUR, "diff_trans") | each(
     NUMBER, "specular_reflectance_sampling_rate specular_transmittance_sampling_rate diffuse_transmittance_sampling_rate"
 )
 OF_SKIES = (
@@ -109,7 +98,6 @@ OF_SKIES = (
 OF_MEDIA = each(VOLUME, "albedo sigma_t") | each(NUMBER, "scale") | each(FLAG, "sample_emitters has_spectral_extinction")
 OF_MAPS = each(FLAG, "use_shadowing_function flip_invalid_normals")
 OF_GRIDS = each(GRID, "filename") | each(WORD, "filter_type wrap_mode") | each(FLAG, "raw accel use_grid_bbox")
-FILE = ("filename",)
 IN_SHAPES, IN_SENSORS = ("bsdf", "emitter", "medium", "texture"), ("film", "sampler", "medium")
 ANY_KIND = (
     "sensor", "film", "sampler", "rfilter", "integrator", "emitter", "shape", "bsdf", "texture", "medium", "phase", "volume",
@@ -149,9 +137,7 @@ PLUGINS: dict[str, dict[str, Plugin]] = {
         "point": Plugin(OF_EMITTERS | each(COLOUR, "intensity") | each(PLACE, "position")),
         "spot": Plugin(OF_EMITTERS | each(COLOUR, "intensity texture") | each(NUMBER, "cutoff_angle beam_width")),
         "projector": Plugin(OF_EMITTERS | OF_LENSES | each(COLOUR, "irradiance") | each(NUMBER, "scale"), holds=("texture",)),
-        "envmap": Plugin(
-            OF_EMITTERS | each(PICTURE, "filename") | each(NUMBER, "scale") | each(FLAG, "mis_compensation"), needs=FILE
-        ),
+        "envmap": Plugin(OF_EMITTERS | each(PICTURE, "filename") | each(NUMBER, "scale") | each(FLAG, "mis_compensation")),
         "sunsky": Plugin(OF_EMITTERS | OF_SKIES),
     },
     "shape": {
@@ -159,13 +145,13 @@ PLUGINS: dict[str, dict[str, Plugin]] = {
         "cylinder": Plugin(OF_SHAPES | each(PLACE, "p0 p1") | each(NUMBER, "radius"), holds=IN_SHAPES),
         **dict.fromkeys(("rectangle", "disk"), Plugin(OF_SHAPES, holds=IN_SHAPES)),
         "cube": Plugin(OF_SHAPES | each(FLAG, "face_normals"), holds=IN_SHAPES),
-        **dict.fromkeys(("ply", "obj"), Plugin(OF_MESHES, needs=FILE, holds=IN_SHAPES)),
-        "serialized": Plugin(OF_MESHES | each(WHOLE, "shape_index"), needs=FILE, holds=IN_SHAPES),
+        **dict.fromkeys(("ply", "obj"), Plugin(OF_MESHES, holds=IN_SHAPES)),
+        "serialized": Plugin(OF_MESHES | each(WHOLE, "shape_index"), holds=IN_SHAPES),
         "shapegroup": Plugin(holds=("shape",)),
         "instance": Plugin(each(TRANSFORM, "to_world"), holds=("shape",)),
     },
     "bsdf": {
-        "diffuse": Plugin(each(SHARE, "reflectance")),
+        "diffuse": Plugin(each(COLOUR, "reflectance")),
         **dict.fromkeys(("dielectric", "thindielectric"), Plugin(OF_DIELECTRICS)),
         "roughdielectric": Plugin(OF_DIELECTRICS | OF_ROUGH),
         "conductor": Plugin(OF_METALS),
@@ -175,23 +161,23 @@ PLUGINS: dict[str, dict[str, Plugin]] = {
         "principled": Plugin(OF_PRINCIPLED | OF_THICK),
         "principledthin": Plugin(OF_PRINCIPLED | OF_THIN),
         "twosided": Plugin(holds=("bsdf",)),
-        "mask": Plugin(each(SURFACE, "opacity"), holds=("bsdf",)),
-        "blendbsdf": Plugin(each(SURFACE, "weight"), holds=("bsdf",)),
+        "mask": Plugin(each(COLOUR, "opacity"), holds=("bsdf",)),
+        "blendbsdf": Plugin(each(COLOUR, "weight"), holds=("bsdf",)),
         "bumpmap": Plugin(OF_MAPS | each(NUMBER, "scale"), holds=("bsdf", "texture")),
         "normalmap": Plugin(OF_MAPS | each(COLOUR, "normalmap"), holds=("bsdf", "texture")),
         "null": Plugin(),
     },
     "texture": {
-        "bitmap": Plugin(OF_PICTURES, needs=FILE),
-        "checkerboard": Plugin(each(SURFACE, "color0 color1") | each(TRANSFORM, "to_uv")),
-        "mesh_attribute": Plugin(each(WORD, "name") | each(NUMBER, "scale"), needs=("name",)),
+        "bitmap": Plugin(OF_PICTURES),
+        "checkerboard": Plugin(each(COLOUR, "color0 color1") | each(TRANSFORM, "to_uv")),
+        "mesh_attribute": Plugin(each(WORD, "name") | each(NUMBER, "scale")),
         "volume": Plugin(holds=("volume",)),
         "uniform": Plugin(OF_TABLES | each(NUMBER, "value")),
-        "regular": Plugin(OF_TABLES | each(NUMBERS, "values range")),
-        "irregular": Plugin(each(NUMBERS, "wavelengths values")),
+        "regular": Plugin(OF_TABLES | each(WORD, "values range")),
+        "irregular": Plugin(each(WORD, "wavelengths values")),
         "d65": Plugin(each(NUMBER, "scale") | each(Allowed(("rgb",)), "color"), holds=("texture",)),
         "blackbody": Plugin(OF_TABLES | each(NUMBER, "temperature")),
-        "srgb": Plugin(each(Allowed(("rgb",), rgb_of_surface=True), "color")),
+        "srgb": Plugin(each(Allowed(("rgb",)), "color")),
     },
     "medium": dict.fromkeys(("homogeneous", "heterogeneous"), Plugin(OF_MEDIA, holds=("phase",))),
     "phase": {
@@ -199,8 +185,5 @@ PLUGINS: dict[str, dict[str, Plugin]] = {
         "hg": Plugin(each(NUMBER, "g")),
         "blendphase": Plugin(each(VOLUME, "weight"), holds=("phase", "volume")),
     },
-    "volume": {
-        "constvolume": Plugin(each(COLOUR, "value")),
-        "gridvolume": Plugin(OF_GRIDS | each(TRANSFORM, "to_world"), needs=FILE),
-    },
+    "volume": {"constvolume": Plugin(each(COLOUR, "value")), "gridvolume": Plugin(OF_GRIDS | each(TRANSFORM, "to_world"))},
 }
