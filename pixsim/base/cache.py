@@ -2,8 +2,8 @@
 
 An entry is a line with its kind, its key and the digest of its content, and then the content: JSON, or the arrays of an .npz.
 Textures, which Mitsuba reads, are EXR with a label in their header, and their digest is an entry. What has another label, or lies
-behind a link, is not read, and never removed; what was changed is computed again, never believed. Entries are written atomically, so
-that processes and users can share the folder. Above its size limit the cache removes the least recently used entries.
+behind a link, is not read, and never removed; what was changed is computed again, never believed. Entries are written atomically,
+so that processes and users can share the folder. Above its size limit the cache removes the least recently used entries.
 
 Compiled kernels are code. Their folder is used only if nobody else can write there.
 """

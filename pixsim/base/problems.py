@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import takewhile
 from typing import Any, get_args
@@ -35,12 +35,6 @@ class Words:
 def words_of(info: FieldInfo | None) -> Words:
     """Return the `Words` of a field; none for a field without."""
     return next((each for each in (info.metadata if info else ()) if isinstance(each, Words)), Words())
-
-
-def meanings(word: str) -> tuple[str, ...]:
-    """Names of the fields that users call by another word."""
-    fields = (pair for record in RECORDS.values() for pair in record.model_fields.items())
-    return tuple(dict.fromkeys(name for name, info in fields if word in words_of(info).also))
 
 
 MAX_VALUE = 80  # characters of a value in a message
@@ -101,33 +95,42 @@ def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer], listed: se
 def names_meant(title: str, above: Sequence[str], name: str) -> list[list[str]]:
     """Dotted paths, below the record named `title`, of the settings that an unknown name in the table `above` may mean.
 
-    A field of this table that is also called so counts first, then the same name below it, above all tables, and in another table.
+    A setting of this table that users call so counts first, then one of the same name elsewhere, then one that they call so.
     """
-    words, others = meanings(name), [[table] for table in names_at(title, [])]
-    own = [[*above, word] for word in words if word in names_at(title, [*above])]
-    below = [[*above, table, name] for table in names_at(title, [*above]) if name in names_at(title, [*above, table])]
-    top = [[name]] if above and name in names_at(title, []) else []
-    beside = [[*table, name] for table in others if name in names_at(title, table)]
-    usual = ([[*table, word] for word in words if word in names_at(title, table)] for table in others)
-    return own or below or top or beside or next(filter(None, usual), [])
+    called, same = [], []
+    for path, info in _fields(RECORDS[title]):
+        if name == path[-1]:
+            same.append(path)
+        elif name in words_of(info).also:
+            called.append(path)
+    return [path for path in called if path[:-1] == list(above)] or same or called
+
+
+def _fields(record: type[BaseModel], above: Sequence[str] = ()) -> Iterator[tuple[list[str], FieldInfo]]:
+    """Dotted paths of the fields of a record, and of those of its tables, which have no tables that others mean."""
+    for name, info in record.model_fields.items():
+        yield [*above, name], info
+        inner = _record_in(info.annotation)
+        if inner is not None and not above:
+            yield from _fields(inner, [name])
 
 
 def _hint_of_name(title: str, above: list[str], name: str) -> str:
-    """What to write in place of an unknown name in a table; empty if nothing is known or similar."""
-    tables = [f"[{word}]" for word in meanings(name) if not above and names_at(title, [word])]
+    """What to write in place of an unknown name in a table; empty if nothing is similar."""
     meant = names_meant(title, above, name)
-    if tables or (meant and all(path[:-1] == above for path in meant)):
-        hint = f"Write {' or '.join(tables or [path[-1] for path in meant])}."
-    elif meant and names_at(title, meant[0]):
-        hint = f"Write it as a table of its own: [{'.'.join(meant[0])}]."
-    elif meant:
-        places = dict.fromkeys(f"in [{'.'.join(path[:-1])}]" if path[:-1] else "above all tables" for path in meant)
-        words = list(dict.fromkeys(path[-1] for path in meant))
-        named = "" if words == [name] else f", as {' or '.join(words)}"
-        hint = f"It belongs {' or '.join(places)}{named}."
-    else:
-        hint = did_you_mean(name, names_at(title, above))
-    return (above and meant and words_of(_field(title, meant[0])).instead.get(name)) or hint
+    if not meant:
+        return did_you_mean(name, names_at(title, above))
+    if above and (words := words_of(_field(title, meant[0])).instead.get(name)):
+        return words
+    if _record(title, meant[0]):
+        return f"Write {' or '.join('[' + '.'.join(path) + ']' for path in meant)}."
+
+    names = list(dict.fromkeys(path[-1] for path in meant))
+    if all(path[:-1] == above for path in meant):
+        return f"Write {' or '.join(names)}."
+    tables = dict.fromkeys(f"in [{path[0]}]" if path[1:] else "above all tables" for path in meant)
+    renamed = "" if names == [name] else f", as {' or '.join(names)}"
+    return f"It belongs {' or '.join(tables)}{renamed}."
 
 
 def _hint(title: str, path: Sequence[str], value: Any) -> str:
@@ -190,16 +193,16 @@ def _field(title: str, path: Sequence[str]) -> FieldInfo | None:
 
 def _record(title: str, path: Sequence[str]) -> type[BaseModel] | None:
     """The record at a dotted path below the record named `title`; None if there is none."""
-    record: Any = RECORDS.get(title)
+    record = RECORDS.get(title)
     for part in path:
         if not part.isdecimal():  # the place in a list
             field = record.model_fields.get(part) if record else None
             record = _record_in(field.annotation) if field else None
-    return record if isinstance(record, type) and issubclass(record, BaseModel) else None
+    return record
 
 
-def _record_in(annotation: object) -> object:
+def _record_in(annotation: Any) -> type[BaseModel] | None:
     """The first class of a record in an annotation, such as that of a list of records; None if there is none."""
     if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
         return annotation
-    return next((found for inner in get_args(annotation) if (found := _record_in(inner))), None)
+    return next(filter(None, map(_record_in, get_args(annotation))), None)

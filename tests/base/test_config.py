@@ -477,9 +477,9 @@ def test_study_layers_pixels_keep_the_die_at_every_pitch(tmp_path: Path) -> None
         ("[pixel]\nf_number = 4", "It belongs in [camera]."),
         ("[camera]\nbits = 8", "It belongs in [pixel] or in [display]."),
         ("[camera]\nseed = 8", "It belongs above all tables."),
-        ("[camera.lens]\nfile = 'phone'", "Write it as a table of its own: [lens]."),
+        ("[camera.lens]\nfile = 'phone'", "Write [lens]."),
         ("[pixel.stack]\nresolution = 3", "pixel.stack.resolution: unknown name; allowed: enabled,"),
-        ("width = 1936", "It belongs in [camera], as pixels."),
+        ("width = 1936", "It belongs in [camera] or in [display], as pixels or dots."),
         ("[display]\nresolution = 640", "Write dots."),
         *(
             (text, "columns and rows are pixels in [camera], as pixels = [1936, 1216]; resolution is the width of the film.")
