@@ -50,10 +50,12 @@ def main(tokens: Sequence[str] | None = None) -> NoReturn:
         from pydantic import ValidationError
 
         from pixsim.base.errors import PixsimError
+        from pixsim.base.lazy import ignore_matplotlibrc
         from pixsim.base.problems import explain
         from pixsim.cli.commands import run_command
     except ImportError as error:
         end(broken(error), UNEXPECTED)
+    ignore_matplotlibrc()
     try:
         run_command(sys.argv[1:] if tokens is None else tokens)
     except (PixsimError, ValidationError) as error:

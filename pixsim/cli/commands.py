@@ -16,7 +16,6 @@ from cyclopts import Parameter
 from pixsim.base.caller import command_line
 from pixsim.base.errors import invalid
 from pixsim.base.layers import Layer
-from pixsim.base.lazy import import_less
 from pixsim.base.notes import collected_notes
 from pixsim.base.progress import Stage
 from pixsim.base.records import checked
@@ -166,9 +165,8 @@ def run(
     Example: pixsim run csf --repeats 8
 
     Writes irradiance.exr, raw.exr (and the formats of --raw), ideal.png, image.png, delta_e.exr, delta_e.png, score.json,
-    settings.toml and report.html, or keeps them where they would be the same. `pixsim run SCENE --config settings.toml` repeats it.
+    settings.toml and report.html. `pixsim run SCENE --config settings.toml` repeats it.
     """
-    import_less()
     from pixsim.report.commands.run import run_files
 
     tables = {"display": display, "seed": seed, "tolerance_e": tolerance_e, "noise_budget": noise_budget, **vars(judges)}
@@ -250,7 +248,6 @@ def plan(
 
     Example: pixsim plan macbeth --tolerance-e 1e-4
     """
-    import_less()
     from pixsim.report.commands.plan import plan_answer
 
     settings = options.settings(tolerance_e=tolerance_e)
@@ -285,10 +282,8 @@ def study(
     Example: pixsim study pixel-size --axis camera.f_number=2,2.8,4 --quick
 
     Writes results.csv, settings.toml, summary.json, figures (with a contact sheet), pixsim.json and report.html. The same
-    command continues an interrupted study, and draws no report again that would show the same; `pixsim study settings.toml`
-    repeats it.
+    command continues an interrupted study; `pixsim study settings.toml` repeats it.
     """
-    import_less()
     from pixsim.report.commands.study import study_files
 
     tables = options.scene_options.study_tables(scene, options.effort, **options.settings)
@@ -351,7 +346,6 @@ def compare(
     Options of cameras, pixels, exposures and displays, and --config, hold for all sensors. Writes compare.json, pictures,
     settings.toml, the settings of each sensor, and report.html.
     """
-    import_less()
     if len(sensors) == TWO_FOLDERS and all(Path(path).is_dir() for path in sensors):
         from pixsim.report.two_results import results_document
         from pixsim.show.render import write
@@ -401,7 +395,6 @@ def accuracy(
 
     Writes ladder.csv, stability.csv, figures/*.svg and *.csv, summary.json and report.html.
     """
-    import_less()
     from pixsim.report.accuracy import FILES, accuracy_document
     from pixsim.verification.ladder import Accuracy, measure_accuracy
 
@@ -447,7 +440,6 @@ def datasheet(
     saturation, stacks for the spatial terms, dark series over time and temperature. A black level below 6 σ of the dark
     signal is raised. Writes datasheet.csv, summary.json, figures/*.svg and *.csv and report.html.
     """
-    import_less()
     from pixsim.measure.datasheet import DataSheet, datasheet_settings, make_datasheet
     from pixsim.report.datasheet import FILES, datasheet_document, sheet_name
 
@@ -523,7 +515,6 @@ def lens(
     The lens is as in its file unless the options change it. Writes report.html, summary.json and
     figures/*.svg and *.csv.
     """
-    import_less()
     from pixsim.measure.lens import LensData, lens as trace
     from pixsim.report.lens import FILES, lens_document
 

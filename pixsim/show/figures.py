@@ -19,7 +19,7 @@ import numpy as np
 from pixsim.base.arrays import Array
 from pixsim.base.digits import setting_text
 from pixsim.base.errors import invalid
-from pixsim.base.lazy import RC_FILE, leave_out_docstrings_of_matplotlib
+from pixsim.base.lazy import RC_FILE
 from pixsim.base.shared_block import SharedBlock
 from pixsim.show.pictures import PictureAxes, smallest_png
 
@@ -119,7 +119,6 @@ def own_style() -> Iterator[None]:
     """
     if "matplotlib" not in sys.modules and os.path.lexists(RC_FILE) and not os.path.isfile(RC_FILE):
         raise invalid(RC_FILE, "a link to nothing, a pipe or a device in the current folder", "a file, or none", "Move it away.")
-    leave_out_docstrings_of_matplotlib()
     with _styled:
         yield
 

@@ -24,7 +24,7 @@ from pixsim.base import cache
 from pixsim.base.children import safe_variables
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import disk_faults_named
-from pixsim.base.lazy import import_less
+from pixsim.base.lazy import ignore_matplotlibrc
 from pixsim.base.locks import temporary_folder
 from pixsim.base.machine import memory, processors
 from pixsim.base.notes import Note, note_of, warn
@@ -439,7 +439,7 @@ def current_folder() -> str:
 def begin_worker(parent: int, _: str) -> None:
     """Prepare this process, which the one of this number has started in a folder."""
     gc.disable()  # a sixth of the time of the imports; the first call enables it
-    import_less()
+    ignore_matplotlibrc()
     watch_parent(parent)
 
 

@@ -130,9 +130,9 @@ def forked(control: socket.socket) -> tuple[CodeType, list[str]]:
 
 
 if __name__ == "__main__":
-    from pixsim.base.lazy import import_less
+    from pixsim.base.lazy import ignore_matplotlibrc
 
-    import_less()
+    ignore_matplotlibrc()
     for name in IMPORTED:
         importlib.import_module(f"pixsim.{name}")
     gc.freeze()

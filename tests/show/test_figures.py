@@ -110,9 +110,9 @@ COMMAND = """
 import sys
 import threading
 import time
-from pixsim.base.lazy import import_less
+from pixsim.base.lazy import ignore_matplotlibrc
 if sys.argv[1] == "command":
-    import_less()
+    ignore_matplotlibrc()
 import os
 from pixsim.show.figures import new_figure, own_style
 before = os.getcwd()
