@@ -95,14 +95,10 @@ class RawFrame:
         return None if top is None else float(np.mean(self.dn >= top))
 
     def __repr__(self) -> str:
-        words = [f"layout={self.layout}"] * (self.layout is not None)
         facts = {name: value for name in FACTS if (value := getattr(self, name)) is not None}
-        words += [f"{name}={np.min(value):g}{f'…{np.max(value):g}' if np.ndim(value) else ''}" for name, value in facts.items()]
-        if self.saturated_fraction is None:
-            at_top, saturation = self.top_code_fraction, "saturation unknown (no white level)"
-            if at_top is not None:
-                saturation = f"top_code_fraction={at_top:.3g} (saturated pixels below the top code cannot be counted)"
-            words.append(saturation)
+        words = [f"{name}={np.min(value):g}{f'…{np.max(value):g}' if np.ndim(value) else ''}" for name, value in facts.items()]
+        if self.layout is not None:
+            words.insert(0, f"layout={self.layout}")
         return f"<RawFrame {' × '.join(map(str, self.dn.shape))}: {', '.join(words)}>"
 
 

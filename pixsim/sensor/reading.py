@@ -40,12 +40,6 @@ class Adc:
     gain_e_per_dn: Positive | None = None
     span_e: Positive | None = None
 
-    def __post_init__(self) -> None:
-        """Raise PixsimError unless either a gain or a span is given."""
-        if (self.gain_e_per_dn is None) == (self.span_e is None):
-            got = f"gain_e_per_dn = {self.gain_e_per_dn} and span_e = {self.span_e}"
-            raise invalid("Adc", got, "one of them, and None for the other")
-
     @property
     def top_code_dn(self) -> int:
         """Highest code."""

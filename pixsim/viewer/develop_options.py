@@ -131,11 +131,9 @@ def _checked_tone(rows: ToneTable, source: str) -> ToneTable:
             got = f"got {source} with light {light:g} and value {value:g}"
             raise ValueError(f"{got}; allowed: light of 0 to {MAX_TONE_LIGHT:g}, 1 for white, and values of 0 to 1.{hint}")
     for (low, under), (high, over) in pairwise(rows):
-        if not low < high:
-            raise ValueError(f"got {source} with light {low:g} followed by {high:g}; allowed: light that rises")
-        if over < under:
-            got = f"got {source} whose value falls from {under:g} to {over:g} between light {low:g} and {high:g}"
-            raise ValueError(f"{got}; allowed: values that never fall, so that brighter stays brighter")
+        if not (low < high and under <= over):
+            got = f"got {source} with {under:g} at light {low:g} and then {over:g} at light {high:g}"
+            raise ValueError(f"{got}; allowed: light that rises, and values that never fall, so that brighter stays brighter")
     if rows[0][1] == rows[-1][1]:
         raise ValueError(f"got {source} of one value, {rows[0][1]:g}; allowed: values that rise")
     return rows

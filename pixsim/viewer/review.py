@@ -9,23 +9,20 @@ from pixsim.light.spectral import SpectralImage
 from pixsim.optics.camera import Camera
 from pixsim.sensor.infrared import pixel_notes
 from pixsim.viewer.imaging import Imaging
-from pixsim.viewer.metric_options import OF_TARGETS, has_target
 from pixsim.viewer.scene_light import SceneLight
 
 
 def review(imaging: Imaging, light: SceneLight | None = None) -> list[Note]:
     """Return notes on a pixel in its light.
 
-    Numbers of the pixel that are rather in another unit, light for which a model does not hold, light of another camera, and light
-    that no metric asks for.
+    Numbers of the pixel that are rather in another unit, light for which a model does not hold, and light of another camera.
 
     light : None before it is rendered: only what the settings tell
     """
     if light is None:
         return pixel_notes(imaging.physics)
     notes = camera_notes(imaging.camera, light.irradiance)
-    notes += pixel_notes(imaging.physics, imaging.camera, light.irradiance)
-    return notes + background_notes(imaging.metrics.names, light.background)
+    return notes + pixel_notes(imaging.physics, imaging.camera, light.irradiance)
 
 
 def warn_of_review(sensors: Mapping[str, Iterable[tuple[Imaging, SceneLight | None]]]) -> None:
@@ -53,10 +50,3 @@ def camera_notes(camera: Camera, irradiance: SpectralImage) -> list[Note]:
         return []
     other = [name for name, value in camera if value != getattr(rendered, name)]
     return [Note("other_camera", names=", ".join(other))]
-
-
-def background_notes(metrics: tuple[str, ...], background: SpectralImage | None) -> list[Note]:
-    """Return a note if light without a target is given, and no metric, by its name, asks for it."""
-    if background is None or has_target(metrics):
-        return []
-    return [Note("not_used", setting="without", reason=f"neither {' nor '.join(OF_TARGETS)} is among the metrics")]

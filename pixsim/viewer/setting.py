@@ -8,12 +8,11 @@ from typing import Annotated, Any, Self
 from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
 
 from pixsim.base.layers import Layer
-from pixsim.base.notes import Note, warn
 from pixsim.base.problems import Words
 from pixsim.base.records import NumberOrText, Record
 from pixsim.light.quantities import FilmSamples
 from pixsim.optics.camera import PIXELS_OR_FILM, CameraOptions
-from pixsim.optics.lens_options import LensOptions, replaced_by_lens
+from pixsim.optics.lens_options import LensOptions
 from pixsim.optics.quantities import DieWidth
 from pixsim.sensor.correction_options import Correction
 from pixsim.sensor.exposure import Exposure
@@ -107,16 +106,7 @@ class Setting(Effort):
 
     @classmethod
     def _merged(cls, layers: Iterable[Layer]) -> dict[str, Any]:
-        """Merge the tables of all layers, as `pixsim.viewer.merging.merge`; later layers take precedence.
-
-        Warns of what a file states of a thin lens if a later layer names a real one.
-        """
-        layers = list(layers)
-        for index, layer in enumerate(layers):
-            replaced = dict.fromkeys(name for later in layers[index + 1 :] for name in replaced_by_lens(layer.table, later.table))
-            if replaced and layer.source:
-                stated = ", ".join(f"camera.{name}" for name in replaced)
-                warn(Note("not_used", setting=f"{stated} of {layer.source}", reason="the real lens, lens.file, has its own"))
+        """Merge the tables of all layers, as `pixsim.viewer.merging.merge`; later layers take precedence."""
         return merged(layers)
 
 

@@ -130,11 +130,9 @@ def test_raw_frame_foreign_file_has_top_code_fraction(tmp_path: Path) -> None:
     np.savez(path, dn=CODES, bits=12)
     other = pixsim.read_frame(path)
     assert (other.saturated_fraction, other.top_code_fraction) == (None, 1 / 12)
-    assert "top_code_fraction=0.0833 (saturated pixels below the top code cannot be counted)" in repr(other)
     np.savez(path, dn=CODES)
     unknown = pixsim.read_frame(path)
     assert (unknown.saturated_fraction, unknown.top_code_fraction) == (None, None)
-    assert "saturation unknown" in repr(unknown)
 
 
 INVALID = [("a.npz", np.array([[value]]), "whole numbers from 0 to") for value in (0.5, -1, np.nan)]

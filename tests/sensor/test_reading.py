@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from pixsim.base.errors import PixsimError
 from pixsim.optics.camera import Camera
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.pixel import PixelPhysics, derive
@@ -34,12 +33,6 @@ def test_codes_of_an_adc_follow_its_gain_or_its_span() -> None:
     assert by_gain.codes_dn == by_span.codes_dn == 4000.0
     assert by_gain.full_scale_e == by_span.full_scale_e == 8000.0
     assert by_gain.dn_per_e == by_span.dn_per_e == 0.5
-
-
-@pytest.mark.parametrize("numbers", [{}, {"gain_e_per_dn": 2.0, "span_e": 8000.0}])
-def test_an_adc_has_either_a_gain_or_a_span(numbers: dict[str, float]) -> None:
-    with pytest.raises(PixsimError, match=r"Adc: got gain_e_per_dn = .* and span_e = .*; allowed: one of them"):
-        Adc(12, 95.0, **numbers)
 
 
 def test_readout_of_an_exposure_is_that_of_the_pixel_taken_to_it() -> None:

@@ -456,12 +456,6 @@ def test_light_without_the_target_has_the_samples_of_that_with_it() -> None:
         evaluate(without=coarse)
     with pytest.raises(PixsimError, match="negative"):
         evaluate(without=light(-np.ones((200, 200))))
-    for call in (
-        partial(evaluate, metrics=["delta_e"]),
-        partial(pixsim.sweep, EVEN, [PIXEL], camera=CAMERA, display=DISPLAY, jobs=1),
-    ):
-        with pytest.warns(UserWarning, match="without is not used: neither detectability nor npwe is among the metrics"):
-            call(without=EVEN)
 
 
 @pytest.mark.parametrize(("name", "denoise"), [("npwe", "wavelet"), ("npwe", "wiener_bound"), ("visual_noise", "wiener_bound")])

@@ -45,7 +45,6 @@ ROWS: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
     ("assumed", {"display": {}}, {"display": WHITE}),
     ("white_clipped", {"display": {"white_w_per_m2_sr": 1e-4}}, {"display": {"white_w_per_m2_sr": 200.0}}),
     ("spectral_range", {"pixel": {"quantum_efficiency": TABLE}}, {"pixel": {"quantum_efficiency": [*TABLE, [660.0, 0.0]]}}),
-    ("not_used", {"evaluate": {"without": light()}}, {}),
     ("no_effect", {"display": WHITE | {"adaptation": "cat02"}}, {}),
     ("cause", {"evaluate": {"exposure": Exposure(integration_s=1e4)}}, {}),
     ("focus", {"light": {"depths_m": [0.02, 0.02, 0.02]}}, {"light": {"depths_m": [0.02, CAMERA.object_distance_m, None]}}),

@@ -21,13 +21,12 @@ def light(camera: Camera) -> SpectralImage:
 
 
 def test_review_names_what_the_settings_and_the_light_do_not_say_themselves() -> None:
-    """A PRNU in per cent, light of another f-number, and light without a target that no metric asks for; nothing of a plain one."""
+    """A PRNU in per cent, and light of another f-number; nothing of a plain one."""
     plain = imaging(CAMERA, Pixel(technology="4t-bsi", pitch_um=5.0, stack={"enabled": False}))
     image = light(CAMERA)
     assert review(plain, SceneLight(image)) == []
 
     doubtful = imaging(CAMERA, plain.pixel.model_copy(update={"prnu": 0.2}))
-    other_camera, slip, background = review(doubtful, SceneLight(light(Camera(die_mm=0.32, f_number=2.0)), image))
+    other_camera, slip = review(doubtful, SceneLight(light(Camera(die_mm=0.32, f_number=2.0))))
     assert other_camera.endswith("another camera than the one given, of another f_number")
     assert slip == "pixel: prnu = 0.2 is unusual. In per cent? Write prnu = 0.002"
-    assert background.startswith("without is not used")
