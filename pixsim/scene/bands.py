@@ -139,11 +139,11 @@ def place_bands(lamps: list[Spectrum], surfaces: Array, witnesses: list[Witness]
         worst = max((float(np.abs(error.sum(axis=2)).max()) for error in errors), default=0.0)
         if worst <= tolerance or edges.size > MAX_BANDS:
             return bands
-        error_of_band = np.max([np.abs(error).max(axis=(0, 1)) for error in errors], axis=0)
-        error_of_band[np.diff(edges) < 2 * NARROWEST_BAND_NM] = 0.0
-        if not error_of_band.any():
+        band_error = np.max([np.abs(error).max(axis=(0, 1)) for error in errors], axis=0)
+        band_error[np.diff(edges) < 2 * NARROWEST_BAND_NM] = 0.0
+        if not band_error.any():
             return bands
-        halved = np.flatnonzero(error_of_band > error_of_band.max() / 2)
+        halved = np.flatnonzero(band_error > band_error.max() / 2)
         edges = np.sort(np.concatenate([edges, (edges[halved] + edges[halved + 1]) / 2]))
 
 
@@ -209,10 +209,10 @@ def window_pulse(
     step = lamp.step_nm if lamp else 1.0
     if band:  # fine enough for every border of a band to be a node
         step = min(step, STEPS_NM[1])
-    first, last, most = (round((nm - span.low_nm) / step) for nm in (low_nm, high_nm, span.high_nm))
-    reach = 0 if inside else FLANK_STEPS
-    start = max(min(first - reach, most - 2 * FLANK_STEPS), 0)
-    stop = min(max(last + reach, 2 * FLANK_STEPS), most)
+    first, last, last_node = (round((nm - span.low_nm) / step) for nm in (low_nm, high_nm, span.high_nm))
+    flank = 0 if inside else FLANK_STEPS
+    start = max(min(first - flank, last_node - 2 * FLANK_STEPS), 0)
+    stop = min(max(last + flank, 2 * FLANK_STEPS), last_node)
     index = np.arange(start, stop + 1)
     values = lamp.on_grid(step, span)[index] if lamp else np.ones(index.size)
     values[(index < first) | (index > last)] = 0.0
@@ -236,8 +236,8 @@ def every_band(lamp: Spectrum | None, bands: Bands) -> Fit:
     fours = passes(len(pulses))
     # Flanks may overlap neighbours: then each pulse has its own pass.
     spans = [sorted({(pulses[index].low_nm, pulses[index].high_nm) for index in group}) for group in fours]
-    apart = all(low[1] <= high[0] for span in spans for low, high in pairwise(span)) and len(pulses) >= 2 * PULSES_PER_PASS
-    return Fit(pulses, np.diag(mean)[lit], fours if apart else [[index] for index in range(len(pulses))])
+    are_disjoint = all(low[1] <= high[0] for span in spans for low, high in pairwise(span)) and len(pulses) >= 2 * PULSES_PER_PASS
+    return Fit(pulses, np.diag(mean)[lit], fours if are_disjoint else [[index] for index in range(len(pulses))])
 
 
 def passes(count: int) -> list[list[int]]:
@@ -301,5 +301,5 @@ def _fit_weights(families: Array, pulses: list[Pulse], light: Array, step_nm: fl
     measured = np.stack([pulse.mean(scaled, step_nm, span) for pulse in pulses], axis=1)
     centroids = [float((pulse.nodes_nm * pulse.values).sum() / pulse.values.sum()) for pulse in pulses]
     plain = np.array([np.interp(grid, centroids, row) for row in np.eye(len(pulses))])
-    left = measured.T @ measured / len(scaled) + stiffness * np.eye(len(pulses))
-    return np.asarray(np.linalg.solve(left, measured.T @ scaled / len(scaled) + stiffness * plain))
+    normal_matrix = measured.T @ measured / len(scaled) + stiffness * np.eye(len(pulses))
+    return np.asarray(np.linalg.solve(normal_matrix, measured.T @ scaled / len(scaled) + stiffness * plain))

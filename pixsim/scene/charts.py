@@ -66,8 +66,8 @@ def csf_frequency_on_sensor(header: Mapping[str, Any], width_mm: DieWidth) -> Ca
     header : of the irradiance
     width_mm : of the picture on the sensor
     """
-    given = header.get("parameters")  # may be anything in a file of another program
-    parameters = given if isinstance(given, dict) else {}
+    stated = header.get("parameters")  # may be anything in a file of another program
+    parameters = stated if isinstance(stated, dict) else {}
     if header.get("scene") != "csf.xml" or "chart" in parameters:
         return None
     scale = DIE_MM / width_mm
@@ -157,10 +157,10 @@ def target(width: Side = 1024, height: Side = 1024, die_mm: DieWidth = DIE_MM, *
 
     Raises PixsimError for a size in another unit, which needs a camera, and as `Target.texels` does.
     """
-    shown = Target.of_parameters(fields, {"size_um": TARGET_UM})
-    if shown.shape != "edge" and shown.size_um is None:
-        raise invalid("target", repr(shown), "a size on the sensor, size_um", "The scene 'target' takes the others.")
-    return shown.texels((height, width), (die_mm, die_mm), (shown.size_um or 0.0) / 1e3)
+    drawn = Target.of_parameters(fields, {"size_um": TARGET_UM})
+    if drawn.shape != "edge" and drawn.size_um is None:
+        raise invalid("target", repr(drawn), "a size on the sensor, size_um", "The scene 'target' takes the others.")
+    return drawn.texels((height, width), (die_mm, die_mm), (drawn.size_um or 0.0) / 1e3)
 
 
 CHARTS: dict[str, Callable[..., NDArray[np.float32]]] = {
@@ -225,20 +225,23 @@ def texture_file(content: object, make: Callable[[], NDArray[np.float32]]) -> Pa
         key = content_hash([content, cache.version_fingerprint()])
     except (TypeError, ValueError):
         raise invalid("content", brief(content), "texts, finite numbers, lists and tables") from None
-    path, label = cache.folder() / KIND / f"{key}.exr", {cache.ENTRY: cache.entry_label(KIND, key)}
-    if not (cache.is_entry(path) or cache.can_hold(KIND)):
-        path = temporary_folder_of_process() / path.name
-    if cache.is_unchanged_file(path) or (path.parent.name != KIND and path.is_file()):
+    label = {cache.ENTRY: cache.entry_label(KIND, key)}
+    path = cache.folder() / KIND / f"{key}.exr"
+    if cache.is_unchanged_file(path):
         with suppress(OSError):  # a read-only cache works too
             os.utime(path, follow_symlinks=False)
-    else:
+        return path
+
+    texels = None
+    if cache.can_hold(KIND):
         texels = make()
-        try:
+        with suppress(PixsimError):  # the disk of the cache is full
             write_channels(path, {"Y": texels}, label, named=False)
             cache.store_digest_of(path)
-        except PixsimError:  # the disk of the cache is full
-            path = temporary_folder_of_process() / path.name
-            write_channels(path, {"Y": texels}, label)
+            return path
+    path = temporary_folder_of_process() / path.name
+    if not path.is_file():
+        write_channels(path, {"Y": make() if texels is None else texels}, label)
     return path
 
 

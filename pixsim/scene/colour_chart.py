@@ -141,7 +141,7 @@ def primaries() -> tuple[Array, Array]:
 def primaries_xyz() -> Array:
     """Return the XYZ of the primaries at full power, (3, 3), a column each, with Y of 1 for their sum."""
     nm, radiance = primaries()
-    xyz = np.stack([np.interp(grid_nm(), nm, each) @ colour_matching(grid_nm()) for each in radiance.T], axis=1)
+    xyz = np.stack([np.interp(grid_nm(), nm, power) @ colour_matching(grid_nm()) for power in radiance.T], axis=1)
     return xyz / xyz[1].sum()
 
 

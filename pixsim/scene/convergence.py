@@ -122,28 +122,28 @@ def render_until(
     sensed = [[physics.pixel.model_dump(), physics.technology.content] for physics in derived]
     limits = content_hash([sensed, exposure.model_dump(), render_noise, max_seconds, tolerance_delta_e])
     runs_in_time = job.cache.runs_in_time(limits) if job.cache and max_seconds is not None else None
-    most = math.inf
+    max_samples = math.inf
     if max_seconds is None:
-        most = plan.most_samples / (PAIR * math.prod(job.size) * plan.light.passes)  # per film cell
+        max_samples = plan.most_samples / (PAIR * math.prod(job.size) * plan.light.passes)  # per film cell
 
     halves: list[list[Array]] = [[], []]
     runs, level, at_level = 0, 0 if max_seconds is None else FIRST_LEVEL, 0
     weight, samples = 0.0, 0  # samples per film cell of each half, and of both
     noise = RenderNoise(math.inf, math.inf, render_noise, 0, "target")
-    needed = most if plan.many_bounces and max_seconds is None else UNKNOWN * plan.samples.spp
+    needed = max_samples if plan.many_bounces and max_seconds is None else UNKNOWN * plan.samples.spp
     note, progress = "", progress and _never_back(progress)
     ended: EndedBy | None = None
     while ended is None:
         pair = _pair(job, runs, level, weight, needed, progress, note)
         try:
-            both = pair if max_seconds is None else [*pair]  # all of it or nothing
+            renders = pair if max_seconds is None else [*pair]  # all of it or nothing
         except OutOfTimeError:
             if not runs:
                 raise
             ended = "max_seconds"
             noise = replace(noise, ended_by=ended)
             break
-        for number, (pictures, spp) in enumerate(both):
+        for number, (pictures, spp) in enumerate(renders):
             halves[number] = halves[number] or [zeros(picture.shape) for picture in pictures]
             _add(halves[number], pictures, spp)
             del pictures  # or it would be a third picture in memory
@@ -154,16 +154,16 @@ def render_until(
         delta_e = _halves_delta_e(job, halves, weight, delta_e_between if tolerance_delta_e else None)
         noise = RenderNoise(fraction, relative, render_noise, runs, "target", delta_e, tolerance_delta_e)
         is_far = noise.excess**2 > LEVEL_FACTOR / 2
-        left = most - weight
-        if level < 0 or (is_far and at_level >= PAIRS_A_LEVEL and spp < MAX_SPP and spp * LEVEL_FACTOR <= left):
+        samples_left = max_samples - weight
+        if level < 0 or (is_far and at_level >= PAIRS_A_LEVEL and spp < MAX_SPP and spp * LEVEL_FACTOR <= samples_left):
             level, at_level = level + 1, 0
         spent_s = time.monotonic() - begun_s
         is_late = max_seconds is not None and (runs >= runs_in_time if runs_in_time else spent_s > max_seconds)
-        ended = _ended_by(noise, no_samples_left=spp > left, is_late=is_late)
+        ended = _ended_by(noise, no_samples_left=spp > samples_left, is_late=is_late)
         noise = replace(noise, ended_by=ended or "target")
 
         note = f", render noise {noise.fraction:.2g} of sensor noise"
-        needed = min(noise.excess**2 * weight, most)
+        needed = min(noise.excess**2 * weight, max_samples)
         if max_seconds is not None:
             needed = min(needed, weight * max_seconds / max(spent_s, 1e-9))
             job.ends_at_s = begun_s + max_seconds  # there is a picture now
@@ -224,16 +224,16 @@ def _add(totals: Sequence[Array], pictures: Sequence[NDArray[Any]], spp: float) 
             release(total[rows], picture[rows])
 
 
-def _average(even: Sequence[Array], odd: Sequence[Array], weight: float) -> None:
+def _average(first_half: Sequence[Array], second_half: Sequence[Array], weight: float) -> None:
     """Make the first half the mean of both, in place: pictures of all bands are large.
 
     weight : samples of each half
     """
-    for mean, other in zip(even, odd, strict=True):
+    for mean, second in zip(first_half, second_half, strict=True):
         for rows in strips(*mean.shape[:2]):
-            mean[rows] += other[rows]
+            mean[rows] += second[rows]
             mean[rows] /= 2 * weight
-            release(mean[rows], other[rows])
+            release(mean[rows], second[rows])
 
 
 def _halves_delta_e(
@@ -248,8 +248,8 @@ def _halves_delta_e(
     """
     if delta_e_between is None or not all(any(job.lit(picture) for picture in half) for half in halves):
         return None
-    one, other = (job.image(_means(half, weight), 0) for half in halves)
-    return delta_e_between(one, other) / 2
+    first, second = (job.image(_means(half, weight), 0) for half in halves)
+    return delta_e_between(first, second) / 2
 
 
 def _means(totals: Sequence[Array], weight: float) -> list[NDArray[np.float32]]:
@@ -322,8 +322,8 @@ def noise_of(
         side = physics.pitch_um, physics.aperture_side_um
         parts = measured_parts(job.size, job.pitch_um / physics.pitch_um, job.margin)
         rates = [[integrate_pixels(_rate(job, half, physics, part), job.pitch_um, *side) for part in parts] for half in halves]
-        even, odd = (np.concatenate([rate.ravel() for rate in half]) / weight for half in rates)
-        rate, error_rate = np.maximum((even + odd) / 2, 0.0), (even - odd) / 2
+        first, second = (np.concatenate([rate.ravel() for rate in half]) / weight for half in rates)
+        rate, error_rate = np.maximum((first + second) / 2, 0.0), (first - second) / 2
         readout = Readout.of(physics, exposure, bin_side=1)  # the rate is that of single pixels
         time_s = integration_time_s(exposure, readout, float(rate.max()))
         variance_e2 = frame_variance_dn2(rate * time_s, time_s, readout, fixed_pattern=False) / readout.dn_per_e**2
@@ -344,8 +344,8 @@ def measured_parts(shape: tuple[int, int], pixels_per_cell: float, margin: int =
     if thinner <= 1 or min(shape) < PARTS:
         return [(slice(margin, margin + shape[0]), slice(margin, margin + shape[1]))]
 
-    one = math.ceil(1 / pixels_per_cell)
-    down, across = (spread_parts(count, max(1, one, round(count / PARTS / thinner))) for count in shape)
+    cells_per_pixel = math.ceil(1 / pixels_per_cell)
+    down, across = (spread_parts(count, max(1, cells_per_pixel, round(count / PARTS / thinner))) for count in shape)
     rows, columns = ([slice(part.start + margin, part.stop + margin) for part in side] for side in (down, across))
     return list(product(rows, columns))
 

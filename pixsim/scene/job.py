@@ -78,8 +78,8 @@ class Passes:
         """
         count = len(self.groups)
         sums, numbers = np.zeros((len(self.pulses), values[0].size // (count * spp))), np.zeros(len(self.pulses))
-        for lane, of_lane in zip(self.lanes.T, values, strict=True):
-            means = of_lane.reshape(-1, count, spp).mean(axis=2, dtype=np.float64)
+        for lane, lane_values in zip(self.lanes.T, values, strict=True):
+            means = lane_values.reshape(-1, count, spp).mean(axis=2, dtype=np.float64)
             for pulse, mean in zip(lane, means.T, strict=True):
                 sums[pulse] += mean
                 numbers[pulse] += 1
@@ -139,7 +139,7 @@ class TraceJob:
 def irregular(nodes_nm: Iterable[float], values: Iterable[float]) -> dict[str, Any]:
     """Describe a spectrum with steps of any size."""
     columns = {"wavelengths": nodes_nm, "values": values}
-    return {"type": "irregular"} | {name: ", ".join(repr(float(one)) for one in own) for name, own in columns.items()}
+    return {"type": "irregular"} | {name: ", ".join(repr(float(number)) for number in numbers) for name, numbers in columns.items()}
 
 
 def regular(low_nm: float, high_nm: float, values: Iterable[float]) -> dict[str, Any]:

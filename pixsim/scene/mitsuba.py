@@ -215,11 +215,11 @@ def _at_each_wavelength(
     if variant.startswith("scalar"):
         values = []
         for row in rows:
-            one = dr.zeros(mi.SurfaceInteraction3f)
-            one.wavelengths = row.tolist()
-            values.append(np.asarray(value(one), float).ravel())
+            interaction = dr.zeros(mi.SurfaceInteraction3f)
+            interaction.wavelengths = row.tolist()
+            values.append(np.asarray(value(interaction), float).ravel())
     else:
-        many = dr.zeros(mi.SurfaceInteraction3f, len(rows))
-        many.wavelengths = mi.Spectrum(np.ascontiguousarray(rows.T, np.float32))
-        values = [np.asarray(value(many), float).T.ravel()]
+        interactions = dr.zeros(mi.SurfaceInteraction3f, len(rows))
+        interactions.wavelengths = mi.Spectrum(np.ascontiguousarray(rows.T, np.float32))
+        values = [np.asarray(value(interactions), float).T.ravel()]
     return np.concatenate(values)[: wavelengths.size]

@@ -323,8 +323,8 @@ def make_render_plan(
     pixels = [derive(option, load_technology(option.technology)) for option in options]
     camera = camera or scene.camera()
     tiling, real_lens = decide_real_lens(scene, camera, pixels[0] if pixels else None, tolerance_e, full, aperture_um)
-    seen = rendered_camera(camera if tiling else without_lens(camera))
-    inspection = inspect_scene(scene, seen, pixels or _packaged_pixels())
+    thin_camera = rendered_camera(camera if tiling else without_lens(camera))
+    inspection = inspect_scene(scene, thin_camera, pixels or _packaged_pixels())
     plan = _plan_of(inspection, camera, pixels, tolerance_e, full, tiling, real_lens)
     if scene.diffuser and not inspection.chart_white:
         plan = replace(plan, light=replace(plan.light, plate=_plate_of(inspection, pixels, tolerance_e)))
@@ -363,7 +363,7 @@ def _plan_of(
     pixels : whose electrons have the tolerance; none where nobody states one
     tiling, real_lens : from `decide_real_lens`
     """
-    scene, state, bodies, seen = inspection.scene, inspection.state, inspection.bodies, inspection.camera
+    scene, state, bodies, thin_camera = inspection.scene, inspection.state, inspection.bodies, inspection.camera
     physics = pixels[0] if pixels else None
     rendered = camera if tiling else without_lens(camera)
 
@@ -374,24 +374,26 @@ def _plan_of(
     passes = sum(len(light.fit.passes) for light in lamps)
 
     # Samples. An unfocused chart differs from its picture, and the lens needs samples too.
-    lens, focus = rules.decide_lens(state, seen, bodies, inspection.aspect, physics, tolerance_e, full)
-    chart = rules.lone_chart(state, seen, bodies, inspection.shape) if lens == "perspective" else None
+    lens, focus = rules.decide_lens(state, thin_camera, bodies, inspection.aspect, physics, tolerance_e, full)
+    chart = rules.lone_chart(state, thin_camera, bodies, inspection.shape) if lens == "perspective" else None
     scene_spp = sample_count(state, inspection.sensor)
     given_spp = "spp" in scene.parameters
     finer = (inspection.shape[1] / max(1, film_size(state, inspection.sensor)[1])) ** 2
     spp, sampler, samples = rules.decide_samples(chart, scene_spp, passes, tolerance_e, full, given_spp, finer)
 
     # Film. What is left out does not change where the scene ends.
-    sharp = rules.decide_lens(state, seen, bodies, inspection.aspect, None, tolerance_e, False)[0] if full else lens
-    ends = rules.ends_with_film(state, seen, bodies, inspection.shape) if tiling and sharp == "perspective" else (False, False)
+    sharp = rules.decide_lens(state, thin_camera, bodies, inspection.aspect, None, tolerance_e, False)[0] if full else lens
+    ends = (
+        rules.ends_with_film(state, thin_camera, bodies, inspection.shape) if tiling and sharp == "perspective" else (False, False)
+    )
     film_um = 1e3 * rendered.die_mm / inspection.shape[1]
     diffraction = rules.decide_diffraction(
         chart, rendered, film_um, tolerance_e, full or tiling is not None, inspection.span.high_nm
     )
     defocus: list[Defocus] = []
-    out_of_focus: list[Decision] = []
+    defocus_decisions: list[Decision] = []
     if tiling is not None and focus.kept:
-        defocus, out_of_focus = decide_defocus(state, bodies, rendered, seen, inspection.aspect, physics)
+        defocus, defocus_decisions = decide_defocus(state, bodies, rendered, thin_camera, inspection.aspect, physics)
 
     outside = outside_header(inspection.lamp_spectra, inspection.span)
     warnings = [*real_lens_warnings(camera, tiling, defocus, tolerance_e), *inspection.warnings]
@@ -423,7 +425,7 @@ def _plan_of(
             in_focus_m=depth_of_field_m(camera, physics.read_pitch_um) if physics else None,
         ),
         samples=SamplePlan(lens, integrator, sampler, spp, scene_spp, given_spp),
-        decisions=(*spectral, tables, bounces, focus, samples, diffraction, *real_lens, *out_of_focus),
+        decisions=(*spectral, tables, bounces, focus, samples, diffraction, *real_lens, *defocus_decisions),
         tolerance_e=tolerance_e,
         warnings=tuple(warnings),
         full=full,
@@ -588,15 +590,15 @@ def decide_oversampling(
     details, name = film.details_across(
         camera, physics.aperture_side_um, display, physics.pitch_um, chart.details if chart else None
     )
-    most = film.largest_film(height / width, plan.light.planes, plan.cells_in_time)
+    widest = film.largest_film(height / width, plan.light.planes, plan.cells_in_time)
     needed = film.SAMPLES_PER_DETAIL * details
     words = f"{details:.4g} {name} across the die"
-    if not is_free or width >= min(needed, most):
+    if not is_free or width >= min(needed, widest):
         set_by = "" if is_free else "; as set by --resolution"
         return None, Decision(FILM, True, f"{_sampling(camera, physics, width)}; {words}{set_by}")
-    chosen = film.fitting_width(camera.height_mm / camera.die_mm, needed, most)
+    chosen = film.fitting_width(camera.height_mm / camera.die_mm, needed, widest)
     limits = f"{film.MAX_ACROSS} across, 2 GiB for {plan.light.planes} pictures, {amount(plan.most_samples, 2)} rays"
-    limit = f", the limit ({limits})" if needed > most else ""
+    limit = f", the limit ({limits})" if needed > widest else ""
     return chosen, Decision(FILM, True, f"{_sampling(camera, physics, chosen)}, not {width} as in the scene: {words}{limit}")
 
 

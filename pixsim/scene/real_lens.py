@@ -79,14 +79,14 @@ def decide_defocus(
     if not discs:
         return [], []
     aperture_um = pixel.aperture_side_um if pixel else max(least_um, 1.0)
-    given = tuple(SEEN_NM.tolist()), tuple(weight.tolist()), aperture_um
-    found = sorted((defocus_at(camera, disc, *given) for disc in discs), key=lambda one: -one.error)
-    words = f"out of focus, a thin lens's discs with the blur that the lens has in focus: rms error up to {_amount(found[0])}"
+    light = tuple(SEEN_NM.tolist()), tuple(weight.tolist()), aperture_um
+    errors = sorted((defocus_at(camera, disc, *light) for disc in discs), key=lambda item: -item.error)
+    words = f"out of focus, a thin lens's discs with the blur that the lens has in focus: rms error up to {_amount(errors[0])}"
     if unknown:
         words += f"; {unknown}"
     if any(node.plugin not in LAMBERTIAN for _, node in nodes_of(state, "BSDF")):
         words += "; what surfaces mirror or refract lies at other depths, which are not looked at"
-    return found, [Decision(DEFOCUS, False, words, "a trace for each depth", bounded=False)]
+    return errors, [Decision(DEFOCUS, False, words, "a trace for each depth", bounded=False)]
 
 
 def depth_ranges_m(bodies: Sequence[Body], camera: Camera, state: Tree) -> tuple[list[tuple[float, float]], str]:
@@ -119,21 +119,21 @@ def tried_discs_um(ranges: Sequence[tuple[float, float]], least_um: float, camer
     limit_um = largest_disc_um(camera, float(SEEN_NM[0]))
     octaves = [least_um * 2.0**k for k in range(math.ceil(math.log2(max(limit_um / least_um, 1.0))) + 1)]
     ladder = [sign * min(disc, limit_um) for disc in octaves for sign in (-1, 1)]
-    kept: dict[tuple[bool, int], float] = {}
+    discs_um: dict[tuple[bool, int], float] = {}
     for low, high in ranges:
         for disc in [low, high, *(step for step in ladder if low < step < high)]:
             size = min(abs(disc), limit_um)
             if size >= least_um / 2:
                 place = disc > 0, round(math.log2(size / least_um))
-                kept[place] = max(kept.get(place, 0.0), size)
-    return [size if behind else -size for (behind, _), size in sorted(kept.items())]
+                discs_um[place] = max(discs_um.get(place, 0.0), size)
+    return [size if behind else -size for (behind, _), size in sorted(discs_um.items())]
 
 
-def _amount(found: Defocus) -> str:
+def _amount(defocus: Defocus) -> str:
     """Return an error with where it is."""
-    where = "infinity" if math.isinf(found.depth_m) else f"{found.depth_m:.3g} m"
-    size = f"{percent(found.error, 1)} of the contrast" if found.error < MOST_STATED else "more than the contrast"
-    return f"{size} at {where}, with discs of {found.disc_um:.3g} µm"
+    where = "infinity" if math.isinf(defocus.depth_m) else f"{defocus.depth_m:.3g} m"
+    size = f"{percent(defocus.error, 1)} of the contrast" if defocus.error < MOST_STATED else "more than the contrast"
+    return f"{size} at {where}, with discs of {defocus.disc_um:.3g} µm"
 
 
 def real_lens_warnings(camera: Camera, tiling: Tiling | None, defocus: Sequence[Defocus], tolerance_e: float) -> list[Note]:

@@ -250,8 +250,8 @@ class Renderer:
 
         Else it is a child, which can be killed, and which a failing card may end too.
         """
-        own = self.packaged and self.source.choice.processors is None and self.ends_at_s is None
-        return tracer_of(self.job, own, lambda: self.ends_at_s)
+        in_this_process = self.packaged and self.source.choice.processors is None and self.ends_at_s is None
+        return tracer_of(self.job, in_this_process, lambda: self.ends_at_s)
 
     def fall_off(self, rows: slice = WHOLE, columns: slice = WHOLE) -> Array:
         """Return the irradiance relative to that on the axis, at the centre of each rendered cell of some rows and columns."""
@@ -346,18 +346,18 @@ class Renderer:
         spp = self.tracer.sample_count(sampler, -(-asked // renders))
         # Scalar variants have no kernels that passes could share.
         together = self.job.passes[scene] is not None and not self.job.variant.startswith("scalar")
-        samples, most = (spp * len(light.fit.passes), SAMPLES_TOGETHER) if together else (spp, SAMPLES_PER_KERNEL)
+        samples, samples_per_kernel = (spp * len(light.fit.passes), SAMPLES_TOGETHER) if together else (spp, SAMPLES_PER_KERNEL)
         parts: list[FilmRows] = []
-        strips_of_film = [slice(*borders) for borders in pairwise(self._strip_borders(samples, most))]
+        film_strips = [slice(*borders) for borders in pairwise(self._strip_borders(samples, samples_per_kernel))]
         if together:
             pulses = list(range(len(light.fit.pulses)))
-            for rows in strips_of_film:
+            for rows in film_strips:
                 trace = partial(self.tracer.trace_together, scene, (rows.start, rows.stop), sampler, spp)
                 parts.append(FilmRows(rows, pulses, trace))
             return Work(renders, renders * spp, parts)
         for channels in light.fit.passes:
             responses = [film_response(light.fit.pulses[pulse]) for pulse in channels]
-            for rows in strips_of_film:
+            for rows in film_strips:
                 crop = film(responses, self.field, rows.start, rows.stop)
                 parts.append(FilmRows(rows, channels, partial(self.tracer.trace, scene, crop, sampler, spp)))
         return Work(renders, renders * spp, parts)
@@ -425,7 +425,9 @@ class Renderer:
             return {DIFFUSER: light.chart_white}
         spectrum = plate_spectrum(plate, keep=self.cache is not None, ends_at_s=self.ends_at_s)
         per_nm = spectrum.cell_means(light.bands.edges_nm)
-        return {DIFFUSER: {"distance_m": float(f"{plate.distance_m:.6g}"), DIFFUSER_W: [float(f"{each:.9g}") for each in per_nm]}}
+        return {
+            DIFFUSER: {"distance_m": float(f"{plate.distance_m:.6g}"), DIFFUSER_W: [float(f"{band_w:.9g}") for band_w in per_nm]}
+        }
 
     def lit(self, picture: Picture) -> bool:
         """Return whether there is light in a picture (H, W, pulses)."""

@@ -92,16 +92,16 @@ class Scene:
 
     def text(self, **more: object) -> SceneText:
         """Return the inspected text of the scene, with `more` parameters unless the user set them."""
-        given = {**{k: str(v) for k, v in more.items()}, **self.parameters}
+        values = {**{k: str(v) for k, v in more.items()}, **self.parameters}
         for name in chain.from_iterable(PARAMETERS_OF_CHARTS.values()):  # of pixsim: `for_camera` makes the chart
-            given.pop(name, None)
+            values.pop(name, None)
         if self.strength is not None:
-            given.pop(ILLUMINANCE, None)
+            values.pop(ILLUMINANCE, None)
         if self.own_chart:
-            given[CHART] = str(more.get(CHART) or self.own_chart.texture(1.0))
-        key = _key_of_text(given, self.strength, self.plate)
+            values[CHART] = str(more.get(CHART) or self.own_chart.texture(1.0))
+        key = _key_of_text(values, self.strength, self.plate)
         if key not in self._texts:  # a render asks ten times
-            self._texts[key] = open_scene(self.path, given, strength=self.strength, plate=self.plate)
+            self._texts[key] = open_scene(self.path, values, strength=self.strength, plate=self.plate)
         return self._texts[key]
 
     def parse(self, **more: object) -> Tree:
@@ -125,11 +125,11 @@ class Scene:
         height, width = film_size(state, sensor)
         # A real lens replaces the aperture as an option does.
         usual = {"f_number": Camera().f_number} if lens and lens.file and options.f_number is None else {}
-        own = read_camera(sensor, die_mm, width / max(height, 1), options.model_copy(update=usual))
+        scene_camera = read_camera(sensor, die_mm, width / max(height, 1), options.model_copy(update=usual))
         if options.die_height_mm is None and height != width and height > 0:
-            height_mm = (own.die_mm if options.die_mm is None else options.die_mm) * height / width
+            height_mm = (scene_camera.die_mm if options.die_mm is None else options.die_mm) * height / width
             options = options.model_copy(update={"die_height_mm": height_mm})
-        return camera_with_lens(options.over(own), options, lens or LensOptions())
+        return camera_with_lens(options.over(scene_camera), options, lens or LensOptions())
 
     def for_camera(self, camera: Camera) -> Tree:
         """Return the parsed tree with the scene's lens and chart parameters set for a camera."""
@@ -146,23 +146,23 @@ class Scene:
         """Return the inspected text with the scene's lens and chart parameters set for a camera."""
         lens = dict(zip(LENS_PARAMETERS, (camera.fov_deg, camera.aperture_radius_m, camera.object_distance_m), strict=True))
         named = {name: repr(value) for name, value in lens.items() if name in self.names}
-        shown = camera
+        film_camera = camera
         if camera.die_height_mm is not None or self.shows_target:
             height, width = self.film_shape(camera, self.parse(**named))
         if camera.die_height_mm is not None:  # whole cells of the film may end a little beyond the die
-            shown = camera.model_copy(update={"die_height_mm": camera.die_mm * height / max(width, 1)})
-        named |= {name: repr(value) for name, value in chart_parameters(shown).items() if name in self.names}
+            film_camera = camera.model_copy(update={"die_height_mm": camera.die_mm * height / max(width, 1)})
+        named |= {name: repr(value) for name, value in chart_parameters(film_camera).items() if name in self.names}
         if self.own_chart:
             # Where the chart follows the height of the die, the picture's border does so too.
-            height_mm = shown.height_mm if CHART_HALF_HEIGHT in self.names else shown.die_mm
-            named[CHART] = str(self.own_chart.texture(shown.die_mm / height_mm, warn=True))
+            height_mm = film_camera.height_mm if CHART_HALF_HEIGHT in self.names else film_camera.die_mm
+            named[CHART] = str(self.own_chart.texture(film_camera.die_mm / height_mm, warn=True))
         if charts.MAX_LP_PER_MM in self.parameters:
             width_mm = camera.die_mm
             if CHART_HALF_WIDTH in self.parameters:
                 width_mm *= float(self.parameters[CHART_HALF_WIDTH]) / camera.chart_half_width_m
             named[CHART] = str(charts.csf_file(float(self.parameters[charts.MAX_LP_PER_MM]), width_mm))
         if self.shows_target:
-            named[CHART] = str(self._target_file(camera, chart_parameters(shown), (height, width)))
+            named[CHART] = str(self._target_file(camera, chart_parameters(film_camera), (height, width)))
         return self.text(**named)
 
     def _target_file(self, camera: Camera, fitting: dict[str, float], film: tuple[int, int]) -> Path:
@@ -175,7 +175,7 @@ class Scene:
             check_resolution(side)
         counts = (round(count * half_m[name] / fitting[name]) for count, name in zip(film, half_m, strict=True))
         height, width = (min(max(count, 1), ALLOWED_RESOLUTION[1]) for count in counts)
-        down_mm, across_mm = (2e3 * each for each in half_m.values())
+        down_mm, across_mm = (2e3 * half_side_m for half_side_m in half_m.values())
         target, size_mm = self.target, self.target.size_in_scene_mm(camera)
         content = ["target", target.shape, target.direction, target.contrast, size_mm, down_mm, across_mm, height, width]
         return charts.texture_file(content, partial(target.texels, (height, width), (down_mm, across_mm), size_mm))
@@ -199,8 +199,8 @@ class Scene:
         if self.resolution is None and camera.die_height_mm is None:
             return height, width
         ratio = height / max(width, 1) if camera.die_height_mm is None else camera.height_mm / camera.die_mm
-        across = width if self.resolution is None else self.resolution
-        return max(1, math.ceil(across * ratio - FILM_ROUNDING)), across
+        film_width = width if self.resolution is None else self.resolution
+        return max(1, math.ceil(film_width * ratio - FILM_ROUNDING)), film_width
 
     def with_resolution(self, resolution: FilmSamples) -> Scene:
         """Return the scene on a film of `resolution` samples across."""
@@ -225,12 +225,12 @@ class Scene:
         return content_hash([tree, self.target.content_hash]) if self.shows_target else tree
 
     def __repr__(self) -> str:
-        given = "".join(f", {k}={v}" for k, v in self.parameters.items())
-        return f"<Scene {self.path.name}{given}, {self.choice.variant}>"
+        parameters = "".join(f", {k}={v}" for k, v in self.parameters.items())
+        return f"<Scene {self.path.name}{parameters}, {self.choice.variant}>"
 
 
-def _key_of_text(given: dict[str, str], strength: float | None = None, plate: tuple[float, ...] | None = None) -> str:
-    return repr((sorted(given.items()), strength, plate))
+def _key_of_text(values: dict[str, str], strength: float | None = None, plate: tuple[float, ...] | None = None) -> str:
+    return repr((sorted(values.items()), strength, plate))
 
 
 def chart_parameters(camera: Camera) -> dict[str, float]:
@@ -256,9 +256,11 @@ def is_packaged(text: SceneText, files: Sequence[Path]) -> bool:
 
     files : absolute paths of those that its text names
     """
-    folders = [Path(os.path.realpath(folder)) for folder in (packaged_folder(), cache_folder())]
+    allowed_folders = [Path(os.path.realpath(folder)) for folder in (packaged_folder(), cache_folder())]
     places = [Path(os.path.realpath(file)) for file in files]
-    return text.content in _packaged_texts() and all(any(place.is_relative_to(one) for one in folders) for place in places)
+    return text.content in _packaged_texts() and all(
+        any(place.is_relative_to(folder) for folder in allowed_folders) for place in places
+    )
 
 
 def scene_path(scene: str | os.PathLike[str]) -> Path:
@@ -268,12 +270,12 @@ def scene_path(scene: str | os.PathLike[str]) -> Path:
         hint = f"To use a parameter file: pixsim run csf --config {path}"
         raise invalid("scene", f"'{scene}', a TOML file", f"an XML file, or one of {', '.join(packaged_scenes())}", hint)
     if not os.path.lexists(path) or path.is_dir():
-        known, is_path = packaged_scenes(), path.parent != Path() or path.suffix
+        names, is_path = packaged_scenes(), path.parent != Path() or path.suffix
         got = f"'{scene}', a folder" if path.is_dir() else missing(path) if is_path else f"'{scene}'"
-        hint = did_you_mean(str(scene), known)
+        hint = did_you_mean(str(scene), names)
         if path.suffix.lower() in SUFFIXES:
             hint = f"A picture is the chart of a scene: csf with {caller.parameter(CHART, str(path))}."
-        raise invalid("scene", got, f"an XML file, or one of {', '.join(known)}", hint)
+        raise invalid("scene", got, f"an XML file, or one of {', '.join(names)}", hint)
     return path
 
 
@@ -378,24 +380,24 @@ def _check_names(text: SceneText, names: Sequence[str], packaged_chart: str) -> 
         raise invalid("scene parameter", f"'{wrong}'", ", ".join(sorted(allowed)), did_you_mean(wrong, allowed) or hint)
 
 
-def _picture_of_chart(path: Path, given: dict[str, str]) -> Path | None:
+def _picture_of_chart(path: Path, values: dict[str, str]) -> Path | None:
     """Return the file that the parameter `chart` names, if it is a picture to convert."""
-    name, folder = given.get(CHART, ""), Path(os.path.realpath(path)).parent
+    name, folder = values.get(CHART, ""), Path(os.path.realpath(path)).parent
     file = next((place for place in (folder / name, Path(name)) if place.is_file()), None) if name and "\0" not in name else None
     return Path(os.path.abspath(file)) if file is not None and is_own_chart(file) else None
 
 
 def _with_own_chart(scene: Scene, text: SceneText, picture: Path | None, linear: bool) -> Scene:
     """Return the scene with a picture as its chart, where the scene takes neutral textures there."""
-    own = False
+    is_own = False
     if picture:
         nodes = nodes_of(parse_tree(text.text, scene.choice.reading), "Texture")
-        own = any(is_neutral(node) for _, node in nodes if str(node.get("filename", "")) == str(picture))
-    if linear and not (own and picture and picture.suffix.lower() not in LINEAR_SUFFIXES):
+        is_own = any(is_neutral(node) for _, node in nodes if str(node.get("filename", "")) == str(picture))
+    if linear and not (is_own and picture and picture.suffix.lower() not in LINEAR_SUFFIXES):
         name = scene.parameters.get(CHART, "")
         got = f"1 (--linear) with the chart '{Path(name).name}'" if name else "1 (--linear) without a chart"
         raise invalid(CHART_LINEAR, got, "a PNG, JPEG or TIFF as -D chart=FILE; other charts are linear already")
-    return replace(scene, own_chart=OwnChart(picture, linear)) if own and picture else scene
+    return replace(scene, own_chart=OwnChart(picture, linear)) if is_own and picture else scene
 
 
 def _with_target(scene: Scene) -> Scene:
@@ -403,9 +405,9 @@ def _with_target(scene: Scene) -> Scene:
     if absent := {CHART_HALF_WIDTH, CHART_HALF_HEIGHT} - scene.names:
         got = f"'{scene.path.name}' without the parameter {min(absent)}"
         raise invalid("target", got, f"a chart plane scaled by ${CHART_HALF_WIDTH} and ${CHART_HALF_HEIGHT}, whose size is known")
-    shown = replace(scene, shows_target=True, names=scene.names.union(Target.model_fields))
-    _ = shown.target  # raises for wrong parameters
-    return shown
+    with_target = replace(scene, shows_target=True, names=scene.names.union(Target.model_fields))
+    _ = with_target.target  # raises for wrong parameters
+    return with_target
 
 
 def _beyond(value: object) -> Beyond | None:
@@ -441,10 +443,10 @@ def _with_illuminance(scene: Scene, text: SceneText, lux: object, keeps_white: b
     keeps_white : whether the user set the luminance of white, which otherwise follows the light
     """
     value, stated = _positive(ILLUMINANCE, lux), _positive(f"{ILLUMINANCE} in '{scene.path.name}'", text.defaults[ILLUMINANCE])
-    reading, given = scene.choice.reading, list(scene.parameters)
-    now = find_lamps(scene.parse(), reading)
-    as_written = find_lamps(replace(scene, parameters={}).parse(), reading) if given else now
-    factor = strength(value, stated, as_written, now, given)
+    reading, parameter_names = scene.choice.reading, list(scene.parameters)
+    lamps = find_lamps(scene.parse(), reading)
+    as_written = find_lamps(replace(scene, parameters={}).parse(), reading) if parameter_names else lamps
+    factor = strength(value, stated, as_written, lamps, parameter_names)
     white = scene.white_cd_per_m2
     if white is not None and not keeps_white:
         white *= value / stated
@@ -575,11 +577,13 @@ def read_camera(sensor: Node, die_mm: float, aspect: float = 1.0, options: Camer
     options : whose values replace those of the node, before these are checked
     """
     aperture, focus = (_positive(name, sensor[name]) for name in ("aperture_radius", "focus_distance"))
-    given = options.model_dump(exclude_none=True, include={"focal_length_mm", "f_number", "object_distance_m"}) if options else {}
-    own = values_of_lens_geometry(fov_x_deg(sensor, aspect), aperture, focus, die_mm)
-    rounded = {name: float(f"{own[name]:.6g}") for name in ("focal_length_mm", "f_number")}
+    replaced = (
+        options.model_dump(exclude_none=True, include={"focal_length_mm", "f_number", "object_distance_m"}) if options else {}
+    )
+    geometry = values_of_lens_geometry(fov_x_deg(sensor, aspect), aperture, focus, die_mm)
+    rounded = {name: float(f"{geometry[name]:.6g}") for name in ("focal_length_mm", "f_number")}
     try:
-        return Camera(**own | rounded | given)
+        return Camera(**geometry | rounded | replaced)
     except PixsimError as error:
         raise PixsimError(f"the scene's lens with a die of {die_mm:g} mm: {error}") from None
 

@@ -39,29 +39,29 @@ class Target(Record):
 
     @model_validator(mode="after")
     def _states_its_size_once(self) -> Self:
-        given = [name for name in SIZES if getattr(self, name) is not None]
-        if self.shape == "edge" and given:
-            raise ValueError(f"{' and '.join(given)} with shape = 'edge', which has no size; leave it out")
-        if self.shape != "edge" and len(given) != 1:
-            found = " and ".join(given) or "no size"
-            raise ValueError(f"{found} for the target; give one of {', '.join(SIZES)}")
+        sizes = [name for name in SIZES if getattr(self, name) is not None]
+        if self.shape == "edge" and sizes:
+            raise ValueError(f"{' and '.join(sizes)} with shape = 'edge', which has no size; leave it out")
+        if self.shape != "edge" and len(sizes) != 1:
+            names = " and ".join(sizes) or "no size"
+            raise ValueError(f"{names} for the target; give one of {', '.join(SIZES)}")
         if self.shape == "disc" and "direction" in self.model_fields_set:
             raise ValueError("direction with shape = 'disc', which has none; leave it out")
         return self
 
     @classmethod
-    def of_parameters(cls, given: Mapping[str, object], defaults: Mapping[str, object]) -> Target:
+    def of_parameters(cls, stated: Mapping[str, object], defaults: Mapping[str, object]) -> Target:
         """Return the target that the user gave, from parameters of a scene and their defaults.
 
         A given size takes the place of the default, in whatever unit that is. A shape may lack what a default states.
 
         Raises PixsimError for values that are no target.
         """
-        shape = given.get("shape", defaults.get("shape", cls.model_fields["shape"].default))
-        unused = {*SIZES} if shape == "edge" or any(name in given for name in SIZES) else set()
+        shape = stated.get("shape", defaults.get("shape", cls.model_fields["shape"].default))
+        unused = {*SIZES} if shape == "edge" or any(name in stated for name in SIZES) else set()
         unused |= {"direction"} if shape == "disc" else set()
-        known = {name: value for name, value in defaults.items() if name not in unused} | {**given}
-        return cls(**{name: known[name] for name in cls.model_fields if name in known})
+        fields = {name: value for name, value in defaults.items() if name not in unused} | {**stated}
+        return cls(**{name: fields[name] for name in cls.model_fields if name in fields})
 
     def size_in_scene_mm(self, camera: Camera) -> float:
         """Return the size in the plane in focus of a camera; 0 for an edge."""

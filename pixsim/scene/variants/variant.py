@@ -126,9 +126,9 @@ def find_llvm() -> tuple[str | None, str]:
 
     Raises PixsimError if the user's variable names a library that would abort the process.
     """
-    given = os.environ.get(LLVM_VARIABLE)
-    if given in _reasons:
-        return given, _reasons[given]
+    stated = os.environ.get(LLVM_VARIABLE)
+    if stated in _reasons:
+        return stated, _reasons[stated]
     for path, origin in candidates():
         fault = library_fault(path)
         if fault is None:
