@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, product
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -34,14 +34,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.transforms import Transform
 
-Item = TypeVar("Item")
 MAX_PANELS = 6  # of a figure, or lines: as many looks that a reader tells apart
 MAX_ROWS = 3  # of panels of axes that are moved alone
 MAX_BARS = 24  # of all panels of axes that are moved alone, if there are several
 LOG_SPAN = 10.0  # ratio of listed values, or of those of a map, above which their scale is logarithmic
 MAP_SIZES = 41  # pixel sizes of a map
 CONTOURS = 7
-NUMBERED_CELLS = 6  # along either side of a map with numbers in its cells
 WIDTH_IN = 6.4
 PT_PER_IN = 72.0
 SMALL_PT, CELL_PT = 8.0, 7.5  # fonts
@@ -50,20 +48,11 @@ SHORT, SHORT_AXIS, SHORT_TICK = 36, 32, 16
 LEAST_SPAN = 0.02  # of a value, for the colours of a map: rounding errors would look like changes
 DODGE_PT = 3.0  # between lines, whose bars would hide each other
 PIXEL_SIZE = "optimal pixel size (µm)"
-ON_CELL = {"facecolor": "white", "alpha": 0.6, "edgecolor": "none", "pad": 1}  # of the numbers in a map
 
 
 def short(text: str, most: int = SHORT) -> str:
     """Return text that fits in a figure, as Matplotlib draws it literally."""
     return literal(text if len(text) <= most else text[: most - 1] + "…")
-
-
-def evenly(items: Sequence[Item], most: int) -> Sequence[Item]:
-    """Return at most that many items at equal steps, the first and the last among them; a single one is the middle one."""
-    if len(items) <= most:
-        return items
-    places = np.linspace(0, len(items) - 1, most) if most > 1 else [(len(items) - 1) // 2]
-    return [items[round(place)] for place in places]
 
 
 # --- the values of an axis -----------------------------------------------------------------------------------------------
@@ -136,12 +125,12 @@ class Scale:
             self._draw_ticks(axis, characters)
 
     def _draw_ticks(self, axis: XAxis | YAxis, characters: int) -> None:
-        """Label the values; of very many, evenly chosen ones."""
+        """Label the values; of very many, every second one or fewer."""
         texts = [short(text, SHORT_TICK) for text in self.texts]
         is_tilted = axis.axis_name == "x" and sum(len(text) + 2 for text in texts) > characters
         room = characters // 4 if is_tilted or axis.axis_name == "y" else len(texts)
-        ticks = evenly(list(zip(self.places.tolist(), texts, strict=True)), room)
-        axis.set_ticks(*zip(*ticks, strict=True))
+        step = -(-len(texts) // room)
+        axis.set_ticks(self.places.tolist()[::step], texts[::step])
         axis.set_tick_params(which="minor", bottom=False, left=False, labelbottom=False, labelleft=False)
         if is_tilted:
             for label in axis.get_ticklabels():
@@ -195,7 +184,7 @@ class Grid:
         }
 
     def panels(self, across: Scale, up: Scale | None = None) -> tuple[Sequence[Panel], str]:
-        """Return panels over one or two axes, at most 6, evenly chosen, and how many these are of all if they are not all.
+        """Return panels over one or two axes, at most 6, and how many these are of all if they are not all.
 
         There is one for each technology, condition and value of the other axes of which a case is there.
         """
@@ -210,7 +199,7 @@ class Grid:
             named = [scale.named(value) for scale, value in zip(others, values, strict=True) if len(scale.values) > 1]
             panels.append(Panel(", ".join(named), tuple(rows)))
         panels = [panel for panel in panels if panel.curves]
-        drawn = evenly(panels, MAX_PANELS)
+        drawn = panels[:MAX_PANELS]
         return drawn, f"{len(drawn)} of {len(panels)} lines or panels" if len(drawn) < len(panels) else ""
 
     def columns(self, curves: Sequence[Curve]) -> dict[str, Column]:
@@ -406,9 +395,8 @@ def map_along(grid: Grid, scale: Scale) -> Drawing:
 
 @figure(
     "optimum_by_two_axes",
-    "Optimal pixel size over two axes. Contours, and the second number of a cell: the best value of the study's first metric, "
-    "such as the least mean ΔE. Hatched: the best size is not known, since it is at an end of the sizes tried or the film cannot "
-    "tell sizes apart.",
+    "Optimal pixel size over two axes. Contours: the best value of the study's first metric, such as the least mean ΔE. Hatched: "
+    "the best size is not known, since it is at an end of the sizes tried or the film cannot tell sizes apart.",
 )
 def map_of_two(grid: Grid, across: Scale, up: Scale) -> Drawing:
     """Draw the optimum over two axes, with contours of the best value, in panels."""
@@ -416,9 +404,7 @@ def map_of_two(grid: Grid, across: Scale, up: Scale) -> Drawing:
 
     panels, title = grid.panels(across, up)
     sizes_um = [_numbers(panel, "pitch_um") for panel in panels]
-    is_numbered = max(len(across.values), len(up.values)) <= NUMBERED_CELLS
-    has_contours = across.numeric and up.numeric and not is_numbered
-    values = [_numbers(panel, "value") for panel in panels] if has_contours else None
+    values = [_numbers(panel, "value") for panel in panels] if across.numeric and up.numeric else None
     figure, axes_of_panels = draw_maps(panels, across.categories, up.categories, sizes_um, values, PIXEL_SIZE)
     figure.suptitle(title, fontsize=SMALL_PT)
     for panel, axes in zip(panels, axes_of_panels, strict=True):
@@ -426,9 +412,6 @@ def map_of_two(grid: Grid, across: Scale, up: Scale) -> Drawing:
         for x, y, best in cells:
             if not best.inside:
                 axes.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, fill=False, hatch="////", ec="white", lw=0))
-            if is_numbered:
-                text = f"{best.pitch_um:.2f}\n{best.value:.3g}"
-                axes.text(x, y, text, ha="center", va="center", fontsize=CELL_PT, bbox=ON_CELL)
     curves = [curve for panel in panels for curve in panel.curves]
     return figure, grid.columns(curves) | optimum_columns(curves)
 
@@ -553,7 +536,7 @@ def draw_moves(axes: Axes, row: int, group: Group, name: str, quantity: str) -> 
     for curve, value in zip(curves, values[1:], strict=True):
         is_hollow = quantity == "pitch_um" and not curve.optimum.inside
         axes.plot(value, row, "o", ms=4.5, color=COLOURS[0], mfc="white" if is_hollow else COLOURS[0])
-    for curve, offset_pt in zip(evenly(curves, 2), (-13, 7), strict=False):
+    for curve, offset_pt in zip(curves[:1] + curves[1:][-1:], (-13, 7), strict=False):
         at = curve.at[name]
         text = short(at, SHORT_TICK) if isinstance(at, str) else f"{at:.4g}"
         value = getattr(curve.optimum, quantity)
@@ -566,14 +549,14 @@ def bases_of(result: CasesResult) -> dict[str, StudyResult]:
 
 
 def alone_groups(result: CasesResult, names: Sequence[str]) -> list[Group]:
-    """Return the curves about the base, a group for each technology and condition, evenly chosen where there are many."""
+    """Return the curves about the base, a group for each technology and condition, the first where there are many."""
     bases = bases_of(result)
     technologies = [curve.technology for curve in next(iter(bases.values())).curves]
     labels = labels_of(technologies)
     of_process = {axis.name for axis in result.study.axis if all(set(point.table) == {"process"} for point in axis.points)}
     groups = []
     most = max(1, min(MAX_ROWS, MAX_BARS // len(names)))
-    for place, condition in evenly(list(product(range(len(labels)), bases)), most):
+    for place, condition in list(product(range(len(labels)), bases))[:most]:
         words = [labels[place]] if len(labels) > 1 else []
         words += [condition] if len(bases) > 1 else []
         moved = {}
