@@ -99,32 +99,6 @@ SCORES_CAPTION = (
 )
 
 
-def comparison_outline(job: ComparisonJob) -> dict[str, Any]:
-    """Return what a comparison would do, with an estimate of time and memory; nothing is rendered or written."""
-    shown = job.shown
-    first = shown.first
-    scene = first.scene.with_resolution(shown.film_width)
-    more: dict[str, Any] = {}
-    if job.study is not None:
-        more["study"] = {"name": job.study.name, "not_used": list(job.not_used)}
-    if first.condition:
-        more["conditions"] = {group.first.condition: {"weight": group.weight} for group in job.of_sensors()}
-    if job.types is not None:
-        more["uncertainty"] = {"draws": len(job.types.sample.quantiles), "inputs": list(job.types.sample.inputs)}
-    if len(job.combinations) > 1:
-        more["cases"] = [{"at": case.at} for case in job.combinations]
-    return more | {
-        "scene": shown.scene,
-        "match": job.match,
-        "repeats": job.repeats,
-        **shown.as_dict(),
-        "film": {"samples": list(scene.film_shape(first.camera, scene.for_camera(first.camera)))},
-        "display": shown.display.model_dump(),
-        "sensors": {case.sensor: _case_data(case) for case in shown.cases},
-        "estimate": asdict(_cost_of(job)),
-    }
-
-
 def _cost_of(job: ComparisonJob) -> Cost:
     """Estimate the renders and frames of all sensors."""
     repeats = job.repeats + (0 if job.types is None else FEW_SENSORS * len(job.types.sample.quantiles))
@@ -150,27 +124,34 @@ def _case_data(case: Case[Run]) -> dict[str, Any]:
 
 
 def comparison_outline_document(job: ComparisonJob, out: Path) -> Document:
-    """Return the answer of a dry run.
+    """Return the answer of a dry run, with an estimate of time and memory; nothing is rendered or written.
 
     out : folder that would be written
     """
-    shown = comparison_outline(job)
-    return Document("compare", "dry run", shown["scene"], shown, lead=list(_outline_blocks(job, shown, out)))
+    shown, first = job.shown, job.shown.first
+    scene = first.scene.with_resolution(shown.film_width)
+    height, across = scene.film_shape(first.camera, scene.for_camera(first.camera))
+    types = None if job.types is None else job.types.sample
+    cost = _cost_of(job)
+    data = {
+        "scene": shown.scene,
+        "match": job.match,
+        "repeats": job.repeats,
+        **shown.as_dict(),
+        "film": {"samples": [height, across]},
+        "display": shown.display.model_dump(),
+        "sensors": {case.sensor: _case_data(case) for case in shown.cases},
+        "cases": [{"at": case.at} for case in job.combinations],
+        "sensor_types": 0 if types is None else len(types.quantiles),
+        "estimate": asdict(cost),
+    }
 
-
-def _outline_blocks(job: ComparisonJob, shown: dict[str, Any], out: Path) -> Iterator[Block]:
-    """Yield what a comparison would do."""
-    height, across = shown["film"]["samples"]
-    condition = job.shown.first.condition
-    yield DocumentTable("sensors", (), [(case.sensor, sensor_words(case)) for case in job.shown.cases], words=None)
-    yield Fact("; ".join(common_words(job)))
-    yield Fact(f"film of {across} × {height} samples for all{condition and f', in {condition}'}")
-    if "cases" in shown:
-        yield Fact(f"{len(shown['cases'])} cases: {'; '.join(case.words for case in job.combinations)}")
-    if "uncertainty" in shown:
-        yield Fact(f"{shown['uncertainty']['draws']} sensor types, over {', '.join(shown['uncertainty']['inputs'])}")
-    yield Fact(f"{out}: nothing is written now")
-    yield Fact(f"cost: {Cost(**shown['estimate'])}")
+    facts = ["; ".join(common_words(job)), f"film of {across} × {height} samples for all"]
+    facts += [f"case {case.words}" for case in job.combinations if case.words]
+    facts += [] if types is None else [f"{len(types.quantiles)} sensor types, over {', '.join(types.inputs)}"]
+    facts += [f"{out}: nothing is written now", f"cost: {cost}"]
+    sensors = DocumentTable("sensors", (), [(case.sensor, sensor_words(case)) for case in shown.cases], words=None)
+    return Document("compare", "dry run", shown.scene, data, lead=(sensors, *map(Fact, facts)))
 
 
 # --- files ------------------------------------------------------------------------------------------------------------------------
