@@ -83,7 +83,15 @@ from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, Metric, MetricContext, Metr
 from pixsim.viewer.scene_light import check_background
 from pixsim.viewer.screen import allows_single
 from pixsim.viewer.setting import Run, Setting
-from pixsim.viewer.without_effect import TABLES, CommandFacts, Default, GivenSettings, record_with, warn_of_settings_without_effect
+from pixsim.viewer.without_effect import (
+    SOLVE_FOR,
+    TABLES,
+    CommandFacts,
+    Default,
+    GivenSettings,
+    record_with,
+    warn_of_settings_without_effect,
+)
 
 # --- settings that do nothing -----------------------------------------------------------------------------------------------------
 
@@ -149,13 +157,13 @@ def settings_of_technology(given: Case[Study], complete: Case[Study], technology
     study = given.settings
     tables: dict[str, Record] = {table: getattr(study, table) for table in TABLES}
     tables |= {"pixel": study.options_of(technology), "pitch": study.pitch}
-    facts = CommandFacts(
-        settings=study,
-        picture=complete.picture,
-        judges_run=False,
-        adds_sensors=bool(study.target_ci_um) or (study.refine and study.pitch.values_um is None),
-        may_refine=not study.target_ci_um and study.pitch.values_um is None,
-    )
+    states_sizes = study.pitch.values_um is not None
+    not_taken = [SOLVE_FOR]
+    if not study.target_ci_um and (states_sizes or not study.refine):
+        not_taken += ["max_repeats", "max_evaluations"]
+    if study.target_ci_um or states_sizes:
+        not_taken.append("refine")
+    facts = CommandFacts(settings=study, picture=complete.picture, not_taken=tuple(not_taken))
     ends = []
     for pitch_um in study_pitches_um(complete.settings, technology)[[-1, 0]].tolist():
         imaging = imaging_of(complete.settings, complete.camera, technology, pitch_um)

@@ -60,7 +60,7 @@ from pixsim.viewer.imaging import Imaging
 from pixsim.viewer.merging import merge
 from pixsim.viewer.setting import Effort, Run, Setting
 from pixsim.viewer.settings_file import packaged_sensors, settings_layer
-from pixsim.viewer.without_effect import GivenSettings, changed_settings, warn_of_settings_without_effect
+from pixsim.viewer.without_effect import SOLVE_FOR, GivenSettings, changed_settings, warn_of_settings_without_effect
 
 if TYPE_CHECKING:
     from pixsim.scene.scene import Scene
@@ -384,7 +384,7 @@ def _warn_of_settings_without_effect(
             run = sensor.settings.model_copy(update=shared)
             imaging = Imaging.of(run, case.camera).changed(metrics=metrics_of(first))
             other_lens = () if match == "own" else _changed_lens(run, first)
-            settings = GivenSettings.of_setting(imaging, run, judges_run=False, other_lens=other_lens, not_taken=STUDY_ALONE)
+            settings = GivenSettings.of_setting(imaging, run, not_taken=(*STUDY_ALONE, SOLVE_FOR, *other_lens))
             settings = replace(settings, names=(*settings.names, *unused))
             sensors.setdefault(sensor.sensor, []).append(settings)
     warn_of_settings_without_effect(sensors)

@@ -184,7 +184,8 @@ class Develop(Record):
     matrix: Literal["least_squares", "least_delta_e", "noise_aware"] = Field(
         "least_delta_e",
         description="fit of the matrix from camera to XYZ, for patches 1-18 of ISO 17321 under the scene's lamp: 'least_squares' "
-        "of XYZ; 'least_delta_e', least mean ΔE with an exact white; 'noise_aware', that with the noise of this exposure",
+        "of XYZ; 'least_delta_e', least mean ΔE with an exact white; 'noise_aware', that with the noise of this exposure, as "
+        "linear steps leave it",
     )
     sharpen_amount: Annotated[float, Field(ge=0, le=20)] = Field(
         0.0, description="unsharp mask: how much of the difference from a Gaussian blur is added (0: none)"

@@ -257,7 +257,12 @@ def wiener_responses(c: Developing) -> list[Array]:
 
 
 def _denoised_noise(noise: PixelNoise, c: Developing) -> PixelNoise:
-    """Of 'wiener_bound': what columns and rows share is made less by what their coefficients lose in the mean."""
+    """Of 'wiener_bound': what columns and rows share is made less by what their coefficients lose in the mean.
+
+    What filters take away that adapt to the picture has no closed form: the noise is that before them.
+    """
+    if c.develop.adapts:
+        return noise
     responses = wiener_responses(c)
     layout = c.layout
     letters = "R" if layout is None else "".join(layout.cell)

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import product
 from typing import Any
 
 import numpy as np
 
-from pixsim.base.arrays import Array, stream
+from pixsim.base.arrays import Array
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.sensor.collection import Collection, ColourCollection, shading_of
-from pixsim.sensor.colour import of_channels
-from pixsim.sensor.correction_options import NO_CORRECTION
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.reading import Readout
-from pixsim.sensor.readout import Frame, capture_from_rates, integration_time_s, lasting, make_frame, sample_sensor
+from pixsim.sensor.readout import Frame, integration_time_s, lasting, make_frame
 from pixsim.viewer import display as displays
 from pixsim.viewer.colour_matrix import metamerism_index
 from pixsim.viewer.develop import Rendition
@@ -30,8 +27,6 @@ from pixsim.viewer.sharpening import noise_gain
 from pixsim.viewer.tone import toned
 
 MIN_RADIUS_PX, MAX_RADIUS_PX = 0.1, 100.0  # of the blur of sharpening
-PHASES_PX = (-1 / 3, 0.0, 1 / 3)  # of dots on pixels
-PATCH_DOTS, MIN_PATCH_PX, MAX_PATCH_PX = 48, 96, 256  # of uniform frames that tell of noise: dots and pixels across
 
 
 @dataclass(frozen=True)
@@ -95,53 +90,12 @@ class Development:
     def channel_covariance(self, integration_s: float) -> Array:
         """Return the covariance of the balanced channels on each patch of the chart, (P, C, C), as means over a dot.
 
-        In closed form, or, of noise reduction that adapts to the picture, of simulated frames.
+        In closed form, without what noise reduction that adapts to the picture takes away.
         """
         assert self.rendition is not None
-        if self.imaging.develop.adapts:
-            return self._covariance_of_frames(integration_s)
         empty = np.zeros(self.signal_e_per_s.shape, np.int32)
         frame = make_frame(empty, 0.0, self.signal_e_per_s, self.readout, lasting(self.exposure, integration_s))
         return noise_covariance(self.developing(frame, matrix=None), self.rendition.responses, self.screen.dot_um)
-
-    def _covariance_of_frames(self, integration_s: float) -> Array:
-        """Estimate `channel_covariance` by a frame of a uniform patch each, of a sensor of its own, without correction."""
-        layout, screen = self.readout.physics.layout, self.screen
-        assert self.rendition is not None
-        assert layout is not None
-        pitch_um, cell = self.readout.physics.read_pitch_um, max(layout.period)
-        dot_um = screen.dot_um or pitch_um
-
-        # A patch of whole unit cells, and the dots in it but for those at its edges.
-        side = cell * math.ceil(min(max(PATCH_DOTS * dot_um / pitch_um, MIN_PATCH_PX), MAX_PATCH_PX) / cell)
-        count = max(2, math.floor(side * pitch_um / dot_um) - 2)
-        edges_um = side * pitch_um / 2 + (np.arange(count + 1.0) - count / 2) * min(dot_um, side * pitch_um / count)
-        whole = replace(screen, size_um=(side * pitch_um, side * pitch_um), dot_edges_um=(edges_um, edges_um))
-        display = screen.display.model_copy(update={"dots": max(8, count)})  # decides on the order of the axes alone
-
-        rates = np.maximum(self.rendition.responses, 0.0) * np.array(self.whites_e_per_s)
-        exposure = lasting(self.exposure.steady, integration_s)
-        centred = self.readout.with_physics(pixel=self.readout.physics.pixel.model_copy(update={"registration": None}))
-        imaging = self.imaging.changed(correction=NO_CORRECTION)
-        covariances = []
-        for number, patch_rates in enumerate(rates):
-            signal = of_channels(patch_rates, layout, (side * layout.planes, side))
-            key = "covariance of patches", number
-            sensor = sample_sensor(centred, signal.shape, stream(*key, "sensor"))
-            frame = capture_from_rates(signal, sensor, exposure, stream(*key, "frame"))
-            patch = replace(
-                self, imaging=imaging, readout=centred, exposure=exposure, signal_e_per_s=signal, screen=whole, collection=None
-            )
-            planes = developed_planes(patch.developing(frame, matrix=None))
-            at_phases = []
-            for at in product(PHASES_PX, repeat=2):  # in the mean over where the dots lie on the pixels
-                places = edges_um + at[0] * pitch_um, edges_um + at[1] * pitch_um
-                on_screen = whole.size_um, display, places, frame.registration
-                dots = np.stack([displays.on_dots(plane, pitch_um, *on_screen).ravel() for plane in planes])
-                away = dots - dots.mean(axis=1, keepdims=True)
-                at_phases.append((away[:, None] * away).mean(axis=2))
-            covariances.append(np.mean(at_phases, axis=0))
-        return np.array(covariances)
 
     def colour_facts(self, integration_s: float) -> dict[str, Any]:
         """Return what score.json has of a colour sensor: its channels, matrix and noise in an exposure."""

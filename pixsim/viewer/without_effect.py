@@ -61,6 +61,7 @@ STREAM = ("small light",)
 KEPT_NOTES = 256  # of calls with records
 SAME_LENGTH = 1e-6  # relative, of lengths that are equal but for rounding
 QUICK_MATRIX = "least_squares"  # in place of the default one, which takes a quarter of a second
+SOLVE_FOR = "metric.detectability.solve_for"  # for commands of one frame
 TABLES = "camera", "lens", "pixel", "exposure", "motion", "correction", "develop", "display"
 
 
@@ -416,19 +417,12 @@ class CommandFacts:
 
     settings : of the command; None for a call with records
     picture : light that is given; None for light that is rendered
-    judges_run : whether it makes one frame, of which it may look for the target that is just seen
-    adds_sensors, may_refine : whether a study adds sizes and sensors, and whether it may be told not to
-    other_lens : names of settings of another camera and lens than those that all sensors of a comparison have
-    not_taken : names of settings and tables that the command does not take
+    not_taken : names of settings and tables that the command does not take, or that do nothing in this one
     makes_frames : whether it makes the frames of a run, in other light
     """
 
     settings: Setting | None = None
     picture: SpectralImage | None = field(default=None, repr=False)
-    judges_run: bool = True
-    adds_sensors: bool = True
-    may_refine: bool = True
-    other_lens: tuple[str, ...] = ()
     not_taken: tuple[str, ...] = ()
     makes_frames: bool = True
 
@@ -554,10 +548,8 @@ def _moves(given: GivenSettings, name: str) -> bool:
 
 
 def _is_of_lens(given: GivenSettings, name: str) -> bool | None:
-    """Of the camera and the lens: those of another sensor do nothing, and what a real lens decides stands in its file."""
+    """Of the camera and the lens: what a real lens decides stands in its file."""
     table, field_name, *_ = name.split(".")
-    if name in given.command.other_lens:
-        return False
     is_of_file = given.imaging.camera.lens is not None if table == "camera" else field_name not in OF_ANY_LENS
     return is_of_file or None
 
@@ -579,9 +571,6 @@ CAMERA_OF_RENDER = "focal_length_mm", "f_number", "die_mm", "die_height_mm", "ob
 ROWS = (
     # The small light is that of a run: other commands have no such frame, or do not take all settings.
     Row((), lambda given, name: given.command.takes(name)),
-    # It has pixels of one size.
-    Row(("max_repeats", "max_evaluations"), lambda given, _: given.command.adds_sensors),
-    Row(("refine",), lambda given, _: given.command.may_refine),
     # It stands behind a thin lens, that of the user's settings.
     Row(("camera", "lens"), _is_of_lens),
     # It is not rendered.
@@ -592,10 +581,7 @@ ROWS = (
         ("metric.detectability.without",),
         lambda given, _: has_target(given.imaging.metrics.names) and given.command.settings is not None,
     ),
-    Row(
-        ("metric.detectability.solve_for",),
-        lambda given, _: given.command.judges_run and DETECTABILITY.name in given.imaging.metrics.names,
-    ),
+    Row((SOLVE_FOR,), lambda given, _: DETECTABILITY.name in given.imaging.metrics.names),
     # It is bright enough for a time below the longest one, and has no room for what moves.
     Row(("exposure.max_integration_s",), lambda given, _: given.imaging.exposure.integration_s is None or None),
     Row(("motion",), _moves),

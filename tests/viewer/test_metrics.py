@@ -821,15 +821,6 @@ def test_code_of_a_function_is_part_of_its_metric() -> None:
     assert own_metric(one).code == own_metric(one).code
 
 
-def test_score_refuses_another_picture() -> None:
-    """Its ΔE would be that of the old one."""
-    score = pixsim.evaluate(EVEN, CAMERA, PIXEL, EXPOSURE, DISPLAY)
-    for change in ({"image": 0.5 * score.image}, {"ideal": 0.5 * score.ideal}):
-        with pytest.raises(PixsimError, match=r"pixsim\.score_pictures"):
-            replace(score, **change)
-    assert replace(score, border_um=(1.0, 1.0)).mean_delta_e == score.mean_delta_e
-
-
 def test_pictures_are_scored_only_if_a_metric_asks(monkeypatch: pytest.MonkeyPatch) -> None:
     scored: list[object] = []
     whole: Callable[..., Any] = Development.score
