@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import lru_cache
 from itertools import combinations_with_replacement, product
 from pathlib import Path
 from typing import Any, Literal
@@ -19,8 +20,8 @@ from pixsim.light import spectral
 from pixsim.light.exr import read_channels
 from pixsim.light.spectral import HIGH_NM, LOW_NM, VISIBLE, WHITE_LAMPS, Span, Spectrum, grid_nm, tabulated
 from pixsim.optics.camera import Camera
-from pixsim.scene.job import AssetFile
-from pixsim.scene.mitsuba import evaluate_reflection, evaluate_spectrum, mitsuba_folder, warnings_of
+from pixsim.scene.job import AssetFile, irregular
+from pixsim.scene.mitsuba import evaluate_reflection, evaluate_spectrum, warnings_of
 from pixsim.scene.textures import EIGHT_BIT, METAL_BY_NAME, check_share, check_texels
 from pixsim.scene.tree import Node, SpectrumTable, Tree, children, nodes_of, numbers, plain
 
@@ -200,19 +201,6 @@ def warnings_of_skies(state: Tree, variant: str) -> list[str]:
     return texts
 
 
-def light_range_nm(lamps: Sequence[Lamp]) -> tuple[float, float] | None:
-    """Return the shortest and the longest wavelength of lamps of known spectra; None if they are dark, or one is not known."""
-    if any(lamp.spectrum is None for lamp in lamps):
-        return None
-    spectra = [lamp.spectrum for lamp in lamps if lamp.spectrum is not None and lamp.spectrum.values.max() > 0]
-    lit = [np.flatnonzero(spectrum.values > 0) for spectrum in spectra]
-    ends = [
-        (spectrum.nodes_nm[max(at[0] - 1, 0)], spectrum.nodes_nm[min(at[-1] + 1, spectrum.nodes_nm.size - 1)])
-        for spectrum, at in zip(spectra, lit, strict=True)
-    ]
-    return (float(min(low for low, _ in ends)), float(max(high for _, high in ends))) if ends else None
-
-
 def checked_lamps(lamps: list[Lamp], span: Span = VISIBLE) -> list[Lamp]:
     """Return the lamps that emit light in a range. Raises PixsimError if a radiance is negative or not finite."""
     for lamp in lamps:
@@ -273,25 +261,28 @@ MAX_SPECTRA = 256  # of surfaces; more take longer to plan than a pass for every
 NEUTRAL_SPREAD = 1e-6
 
 
-@dataclass(frozen=True)
+Beyond = Literal["hold", "zero"]
+
+
+@dataclass
 class Surfaces:
     """The spectra of a scene's surfaces.
 
     spectra : (n, G) of single surfaces on the range's grid of 1 nm, without neutral ones; None if they are unknown
     unknown : why they are unknown
-    short : ranges of tables that end inside 360-830 nm; Mitsuba takes 0 outside
-    mirrors : metals whose index ends inside the range that is computed, in words; Mitsuba takes 0 outside
     span : range that is computed
+    beyond : what spectra that end within the range are there by the user's word; None if nobody says
+    short : ranges of tables that end inside 360-830 nm; Mitsuba takes 0 outside
     ending : surfaces that do not say what they are in all of the range, in words
-    held : (node, property) -> table in place of its own, which goes on to the ends of the range as it ends
+    held : (node, property) -> table in place of that of the scene, which goes on to the ends of the range, or ends in 0
     """
 
-    spectra: Array | None = field(repr=False)
+    spectra: Array | None = field(default=None, repr=False)
     unknown: str = ""
-    short: tuple[str, ...] = ()
-    mirrors: tuple[str, ...] = ()
     span: Span = VISIBLE
-    ending: tuple[str, ...] = ()
+    beyond: Beyond | None = None
+    short: set[str] = field(default_factory=set)
+    ending: list[str] = field(default_factory=list)
     held: dict[tuple[int, str], Spectrum] = field(default_factory=dict, repr=False)
 
     def products(self, bounces: int) -> Array:
@@ -307,25 +298,6 @@ class Surfaces:
         pairs = [single[i] * single[j] for i, j in combinations_with_replacement(range(len(single)), 2) if i != j]
         spread = np.linspace(0, len(pairs) - 1, min(len(pairs), MAX_PRODUCTS)).astype(int)
         return np.vstack([single, *powers, *series, *([pairs[index] for index in spread] or [single[:0]])])
-
-
-Beyond = Literal["hold", "zero"]
-
-
-@dataclass
-class Ends:
-    """What is found of spectra that end within the range that is computed.
-
-    beyond : what they are there by the user's word; None if nobody says
-    short, mirrors, ending, held : as of `Surfaces`; of tables with 0 beyond their ends `held` has them as they are
-    """
-
-    span: Span
-    beyond: Beyond | None
-    short: set[str] = field(default_factory=set)
-    mirrors: list[str] = field(default_factory=list)
-    ending: list[str] = field(default_factory=list)
-    held: dict[tuple[int, str], Spectrum] = field(default_factory=dict)
 
     def on_grid(self, table: Spectrum, index: int, name: str, words: str) -> Array:
         """Return a spectrum of a node's property on the grid of the range.
@@ -348,10 +320,9 @@ class Ends:
                 self.ending.append(f"{words}, {low:g}-{high:g} nm")
         return table.at(grid_nm(span=self.span))
 
-    def unknown_beyond(self, words: str) -> None:
-        """Note a surface of which no table says what it is outside 360-830 nm, nor can be made to."""
-        if self.span != VISIBLE:
-            self.ending.append(words)
+
+class _UnknownError(Exception):
+    """A surface has spectra that nothing in the scene states."""
 
 
 def find_surfaces(state: Tree, variant: str, span: Span = VISIBLE, beyond: Beyond | None = None) -> Surfaces:
@@ -360,48 +331,54 @@ def find_surfaces(state: Tree, variant: str, span: Span = VISIBLE, beyond: Beyon
     span : range that is computed
     beyond : what a spectrum that ends within the range is there: its last value, or 0; None: nobody says
     """
-    spectra: list[Array] = []
-    ends = Ends(span, beyond)
-
-    def found(known: Array | None, unknown: str = "") -> Surfaces:
-        if unknown:
-            ends.unknown_beyond(unknown)
-        return Surfaces(known, unknown, tuple(sorted(ends.short)), tuple(ends.mirrors), span, tuple(ends.ending), ends.held)
-
-    if nodes_of(state, "Medium"):
-        return found(None, "a medium of unknown spectra")
-    for index, node in nodes_of(state, "BSDF"):
-        plugin, words = node.plugin, words_of(node)
-        if len(spectra) > MAX_SPECTRA:
-            return found(None, f"more than {MAX_SPECTRA} spectra of surfaces")
-        if plugin not in SPECTRA:
-            return found(None, f"a BSDF '{plugin}' of unknown spectra")
-        try:
-            metal = _metal(state, node, variant, span) if plugin in METALS else []
-        except PixsimError as error:  # of a description that pixsim makes, in which Mitsuba names no element
-            raise PixsimError(f"the index of {words}: {error}") from None
-        if metal is None:
-            return found(None, f"an unknown refractive index of {plugin}")
-        if metal:
-            low, high = _index_range_nm(state, node)
-            if low > span.low_nm or high < span.high_nm:
-                ends.mirrors.append(f"the index of {words}, {low:g}-{high:g} nm")
-            ends.unknown_beyond(f"the metal of {words}")
-        spectra += metal
-        for name in SPECTRA[plugin]:
-            if name in node:
-                colours = _property(state, index, name, variant, ends, f"{name} of {words}")
-                if colours is None:
-                    return found(None, f"an unknown texture of {plugin}.{name}")
-                spectra += [*colours, *(rho / (1 - INTERNAL_REFLECTION * rho) for rho in colours if plugin in INSIDE)]
-                spectra += [rho * fresnel for rho in colours for fresnel in metal]
+    surfaces = Surfaces(span=span, beyond=beyond)
+    try:
+        spectra = _single_surfaces(state, variant, surfaces)
+    except _UnknownError as error:
+        surfaces.unknown = str(error)
+        if span != VISIBLE:
+            surfaces.ending.append(surfaces.unknown)
+        return surfaces
     coloured = [rho for rho in spectra if np.ptp(rho) > NEUTRAL_SPREAD * max(rho.max(), 1.0)]
     unique = {rho.round(9).tobytes(): rho for rho in coloured}
-    return found(np.array(list(unique.values())).reshape(-1, grid_nm(span=span).size))
+    surfaces.spectra = np.array(list(unique.values())).reshape(-1, grid_nm(span=span).size)
+    return surfaces
 
 
-def _property(state: Tree, at: int, name: str, variant: str, ends: Ends, words: str) -> list[Array] | None:
-    """Return the spectra that a property of a node may have: none if it is neutral, None if they are unknown."""
+def _single_surfaces(state: Tree, variant: str, surfaces: Surfaces) -> list[Array]:
+    """Return the spectra of all BSDFs, neutral ones too. Raises _UnknownError."""
+    if nodes_of(state, "Medium"):
+        raise _UnknownError("a medium of unknown spectra")
+    spectra: list[Array] = []
+    for index, node in nodes_of(state, "BSDF"):
+        plugin = node.plugin
+        if len(spectra) > MAX_SPECTRA:
+            raise _UnknownError(f"more than {MAX_SPECTRA} spectra of surfaces")
+        if plugin not in SPECTRA:
+            raise _UnknownError(f"a BSDF '{plugin}' of unknown spectra")
+
+        metal: list[Array] = []
+        if plugin in METALS:
+            try:
+                metal = _metal(state, node, variant, surfaces.span)
+            except PixsimError as error:  # of a description that pixsim makes, in which Mitsuba names no element
+                raise PixsimError(f"the index of {words_of(node)}: {error}") from None
+            if surfaces.span != VISIBLE:
+                surfaces.ending.append(f"the metal of {words_of(node)}")
+        spectra += metal
+
+        for name in SPECTRA[plugin]:
+            if name in node:
+                colours = _property(state, index, name, variant, surfaces, f"{name} of {words_of(node)}")
+                spectra += colours
+                if plugin in INSIDE:
+                    spectra += [rho / (1 - INTERNAL_REFLECTION * rho) for rho in colours]
+                spectra += [rho * fresnel for rho in colours for fresnel in metal]
+    return spectra
+
+
+def _property(state: Tree, at: int, name: str, variant: str, surfaces: Surfaces, words: str) -> list[Array]:
+    """Return the spectra that a property of a node may have; none if it is neutral. Raises _UnknownError."""
     node = state.nodes[at]
     kind = node.kind_of(name)
     if kind in ("Float", "Integer"):
@@ -411,63 +388,44 @@ def _property(state: Tree, at: int, name: str, variant: str, ends: Ends, words: 
         if not np.ptp(value):
             return []
         colour = tabulated(evaluate_spectrum({"type": "rgb", "value": value}, variant))
-        return [ends.on_grid(colour, at, name, f"{words}, an RGB colour")]
+        return [surfaces.on_grid(colour, at, name, f"{words}, an RGB colour")]
     if kind == "Spectrum":
         value = node[name]
-        return [] if value.uniform else [ends.on_grid(parsed_table(value), at, name, words)]
-    if kind not in ("Reference", "ResolvedReference"):
-        return None
-    child = children(node, state)[name]
-    texture = state.nodes[child]
-    plugin = texture.plugin
-    if plugin == "uniform" or is_neutral(texture):
-        return []
-    if (table := table_of(texture)) is not None:
-        return [ends.on_grid(table, at, name, words)]
-    if plugin == "checkerboard":
-        parts = [_property(state, child, colour, variant, ends, words) for colour in ("color0", "color1") if colour in texture]
-        return None if any(part is None for part in parts) else [rho for part in parts for rho in part or []]
-    return None
+        return [] if value.uniform else [surfaces.on_grid(parsed_table(value), at, name, words)]
+
+    child = children(node, state).get(name)
+    if child is not None:
+        texture = state.nodes[child]
+        if texture.plugin == "uniform" or is_neutral(texture):
+            return []
+        table = table_of(texture)
+        if table is not None:
+            return [surfaces.on_grid(table, at, name, words)]
+        if texture.plugin == "checkerboard":
+            colours = [colour for colour in ("color0", "color1") if colour in texture]
+            parts = [_property(state, child, colour, variant, surfaces, words) for colour in colours]
+            return [rho for part in parts for rho in part]
+    raise _UnknownError(f"an unknown texture in {words}")
 
 
-def _spectrum_dict(table: SpectrumTable) -> dict[str, Any]:
-    """Return the plugin description of a spectrum that the parser stores."""
-    if table.uniform:
-        return {"type": "uniform", "value": float(table.values[0])}
-    columns = {name: ", ".join(repr(float(value)) for value in getattr(table, name)) for name in ("wavelengths", "values")}
-    return {"type": "irregular", **columns}
-
-
-def _metal(state: Tree, node: Node, variant: str, span: Span) -> list[Array] | None:
-    """Return the Fresnel reflectances of a conductor at several angles, from Mitsuba; None if its index is unknown."""
+def _metal(state: Tree, node: Node, variant: str, span: Span) -> list[Array]:
+    """Return the Fresnel reflectances of a conductor at several angles, from Mitsuba. Raises _UnknownError."""
     described: dict[str, Any] = {"type": "conductor"}
-    values, textures = dict(plain(node)), children(node, state)
+    textures = children(node, state)
     for key in ("material", "eta", "k"):
-        if key in values:
-            described[key] = _spectrum_dict(values[key]) if isinstance(values[key], SpectrumTable) else values[key]
-        elif key in textures:
+        if key in textures:
             texture = state.nodes[textures[key]]
             if texture.plugin not in ("uniform", "regular", "irregular"):
-                return None
+                raise _UnknownError(f"an unknown refractive index of {words_of(node)}")
             described[key] = {"type": texture.plugin, **dict(plain(texture))}
+        elif key in node:
+            value = node[key]
+            if isinstance(value, SpectrumTable):
+                uniform = {"type": "uniform", "value": float(value.values[0])}
+                value = uniform if value.uniform else irregular(value.wavelengths, value.values)
+            described[key] = value
     # Beyond its tables, where a metal renders as a mirror, its reflectance along the normal is 0/0.
     return [np.nan_to_num(evaluate_reflection(described, cosine, variant, span), nan=1.0) for cosine in METAL_COSINES]
-
-
-def _index_range_nm(state: Tree, metal: Node) -> tuple[float, float]:
-    """Return the range in which both tables of a metal's index have values; all wavelengths where none is a table."""
-    tables, textures = [], children(metal, state)
-    for name in ("eta", "k"):
-        file = mitsuba_folder() / f"data/ior/{metal.get('material', 'none')}.{name}.spd"
-        if isinstance(metal.get(name), SpectrumTable):
-            value = metal[name]
-            tables += [] if value.uniform else [value.wavelengths]
-        elif name in textures:
-            table = table_of(state.nodes[textures[name]])
-            tables += [] if table is None else [table.nodes_nm]
-        elif file.is_file():
-            tables.append(np.loadtxt(file, usecols=0))
-    return max((float(nm[0]) for nm in tables), default=0.0), min((float(nm[-1]) for nm in tables), default=np.inf)
 
 
 MIN_VOLUME = 1e-200  # of a transformed unit cube
@@ -687,26 +645,17 @@ def _takes_map(node: Node, name: str) -> bool:
     return node.plugin in MAPS or name in MAP_NAMES
 
 
-KEPT_PICTURES, MAX_KEPT_BYTES = 4, 1 << 24
-_kept: dict[str, NDArray[np.float32]] = {}
-
-
+@lru_cache(maxsize=1)
 def _texels_of(path: Path, digest: str) -> NDArray[np.float32]:
-    """Return the texels of a neutral EXR, not to be changed; the last small ones are kept, since a render asks several times.
+    """Return the texels of a neutral EXR, not to be changed: a render asks several times. `digest` is that of the file.
 
     Raises PixsimError if it has several channels, or texels that are no light.
     """
-    texels = _kept.pop(digest, None)
-    if texels is None:
-        channels = read_channels(path)[0]
-        if len(channels) > 1:
-            raise invalid(f"texture '{path}'", f"channels {', '.join(names_in(channels))} with raw = true", "one channel, Y")
-        texels = next(iter(channels.values()))
-        check_texels(path, texels)
-    if texels.nbytes <= MAX_KEPT_BYTES:
-        _kept[digest] = texels
-        while len(_kept) > KEPT_PICTURES:
-            del _kept[next(iter(_kept))]
+    channels = read_channels(path)[0]
+    if len(channels) > 1:
+        raise invalid(f"texture '{path}'", f"channels {', '.join(names_in(channels))} with raw = true", "one channel, Y")
+    texels = next(iter(channels.values()))
+    check_texels(path, texels)
     return texels
 
 

@@ -14,17 +14,7 @@ from pixsim.base.digits import percent
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.notes import Note
 from pixsim.light.quantities import LUMINANCE
-from pixsim.light.spectral import (
-    HIGH_NM,
-    LEAST_LM_PER_W,
-    LOW_NM,
-    VISIBLE,
-    WHITE_RADIANCE,
-    WIDEST,
-    Span,
-    Spectrum,
-    photons_per_joule,
-)
+from pixsim.light.spectral import HIGH_NM, LEAST_LM_PER_W, VISIBLE, WHITE_RADIANCE, WIDEST, Span, Spectrum, photons_per_joule
 from pixsim.optics.camera import Camera
 from pixsim.scene.contents import (
     Body,
@@ -35,7 +25,6 @@ from pixsim.scene.contents import (
     find_bodies,
     find_lamps,
     find_surfaces,
-    light_range_nm,
     planck,
     warnings_of_skies,
     white_of,
@@ -108,16 +97,13 @@ class Inspection:
         """Possible problems of the scene."""
         words = []
         if self.surfaces.short:
-            ranges = ", ".join(self.surfaces.short)
+            ranges = ", ".join(sorted(self.surfaces.short))
             words.append(f"reflectance tables cover only {ranges}, and Mitsuba takes 0 outside; extend them to 360-830 nm")
         if self.sensor.get("shutter_open", 0.0) != self.sensor.get("shutter_close", 0.0):  # no scene that pixsim reads has motion
             exposure = f"{setting('exposure.integration_s')} sets the exposure, {setting('exposure.max_integration_s')} its limit"
             words.append(f"the sensor's shutter_open and shutter_close change nothing, since nothing moves: {exposure}")
         if self.surfaces.ending:
             words.append(f"outside {VISIBLE.words} these are what Mitsuba makes of them: {_named(self.surfaces.ending)}")
-        if self.surfaces.mirrors:
-            metals = "Mitsuba takes 0 for the index of a metal beyond its tables, a perfect mirror where both end"
-            words.append(f"{metals}; extend {_named(self.surfaces.mirrors)}")
         words += [*warnings_of_skies(self.state, self.scene.choice.reading), *light_that_ends(self)]
         return [Note("scene", words=text) for text in words]
 
@@ -138,7 +124,7 @@ def inspect_scene(scene: Scene, camera: Camera, pixels: Sequence[PixelPhysics]) 
     span = span_of([lamp.spectrum for lamp in all_lamps if lamp.spectrum is not None], pixels)
     lamps = checked_lamps(all_lamps, span)
     if not lamps:
-        raise _no_light(all_lamps)
+        raise _no_light(span)
     surfaces = find_surfaces(state, reading, span, scene.beyond_tables)
     if surfaces.ending and not scene.beyond_tables:
         raise _unknown_beyond(surfaces)
@@ -223,11 +209,8 @@ def _named(surfaces: Sequence[str]) -> str:
     return "; ".join(surfaces[:MAX_NAMED]) + f"; and {len(surfaces) - MAX_NAMED} more" * (len(surfaces) > MAX_NAMED)
 
 
-def _no_light(lamps: Sequence[Lamp]) -> PixsimError:
+def _no_light(span: Span) -> PixsimError:
     """Return the error for a scene without light in the range that is computed."""
-    if ends := light_range_nm(lamps):
-        got = f"light from {ends[0]:g} to {ends[1]:g} nm only"
-        allowed = f"light within {LOW_NM:g}-{HIGH_NM:g} nm, or within {WIDEST.words} where the sensor sees it"
-        hint = "Choose a lamp with light in that range, or a sensor without an infrared cut (pixel.infrared_cut_nm)."
-        return invalid("scene", got, allowed, hint)
-    return invalid("scene", "no emitter with light", "a lamp, a chart or a sky with light", "Check that its scale is above 0.")
+    allowed = f"a lamp, a chart or a sky with light in {VISIBLE.words}, or in {WIDEST.words} where the sensor sees it"
+    hint = "Check that its scale is above 0, and that no filter keeps it out (pixel.infrared_cut_nm)."
+    return invalid("scene", f"no emitter with light in {span.words}", allowed, hint)

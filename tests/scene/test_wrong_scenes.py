@@ -11,7 +11,6 @@ from PIL import Image
 
 import pixsim
 from pixsim.base.errors import PixsimError
-from pixsim.scene.contents import find_surfaces
 from pixsim.scene.mitsuba import speaking_mitsuba
 from pixsim.scene.plan import make_render_plan
 from pixsim.scene.scene import Scene
@@ -97,29 +96,6 @@ def test_a_picture_of_light_beside_a_lamp_that_goes_on_is_said(tmp_path: Path) -
     assert not alone.warnings
     both = make_render_plan(scene_of(tmp_path, sky + WALL.format(f'<emitter type="area">{body}</emitter>')))
     assert any("an RGB colour is 0 outside 360-830 nm, which counts here: 'envmap'" in warning for warning in both.warnings)
-
-
-@pytest.mark.parametrize(
-    ("index", "range_nm"),
-    [
-        ('<spectrum name="eta" value="400:1, 650:1"/><spectrum name="k" value="450:3, 650:3"/>', "450-650 nm"),
-        ('<string name="material" value="AlSb"/>', "302.39-590.381 nm"),
-        ('<string name="material" value="Au"/>', ""),
-        ('<spectrum name="eta" value="0.2"/><spectrum name="k" value="3"/>', ""),
-    ],
-)
-def test_metals_whose_index_ends_are_said(index: str, range_nm: str, tmp_path: Path) -> None:
-    """Mitsuba has an index of 0 there, and so a mirror."""
-    scene = scene_of(tmp_path, CONSTANT + WALL.format(f'<bsdf type="conductor" id="metal">{index}</bsdf>'))
-    warnings = make_render_plan(scene).warnings
-    assert len(warnings) == bool(range_nm)
-    nm = np.arange(360.0, 831.0)
-    spectra = find_surfaces(scene.parse(), "scalar_spectral").spectra
-    assert spectra is not None
-    for rho in spectra if range_nm else ():
-        beyond = nm > float(range_nm.partition("-")[2].removesuffix(" nm"))
-        assert rho[beyond] == pytest.approx(1.0, abs=1e-6)
-    assert all("a perfect mirror" in warning and f"'metal', {range_nm}" in warning for warning in warnings)
 
 
 # --- what Mitsuba says ---

@@ -141,7 +141,7 @@ def test_share_of_a_black_body_is_planck_s(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("ends", [(840, 860), (300, 350)])
 def test_lamp_outside_the_range_is_refused_with_the_range(ends: tuple[float, float], tmp_path: Path) -> None:
-    refused = rf"scene: got light from {ends[0]} to {ends[1]} nm only; allowed: light within 360-830 nm, or within 300-1100 nm"
+    refused = r"scene: got no emitter with light in 360-830 nm; allowed: .* in 360-830 nm, or in 300-1100 nm"
     with pytest.raises(pixsim.PixsimError, match=refused):
         plan_of(tmp_path, table(*ends))
     with pytest.raises(pixsim.PixsimError, match="Check that its scale is above 0"):
