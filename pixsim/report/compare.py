@@ -368,7 +368,7 @@ def data(result: Comparison) -> dict[str, Any]:
     job, shown = result.job, result.shown
     stated: dict[str, Any] = {"names": list(result.names), "match": job.match, "repeats": job.repeats, "scene": shown.scene}
     if job.study is not None:
-        stated["study"] = {"name": job.study.name, "not_used": list(job.not_used)}
+        stated["study"] = {"name": job.study.name}
     shared: dict[str, Any] = {
         "settings": {"sensors": dict(zip(result.names, (_settings_data(run) for run in job.base), strict=True))},
         "notes": notes(result),

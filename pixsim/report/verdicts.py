@@ -217,8 +217,7 @@ def common_words(job: ComparisonJob) -> list[str]:
     first, camera, display = shown.first.sensor, shown.first.camera, shown.display
     words = []
     if job.study is not None:
-        unused = f" (not used: {', '.join(job.not_used)})" if job.not_used else ""
-        words.append(f"the study {job.study.name}{unused}")
+        words.append(f"the study {job.study.name}")
     if shown.first.condition:
         weights = ", ".join(f"{group.first.condition} ({group.weight:.3g})" for group in job.of_sensors())
         words.append(f"means over its conditions, with the weights {weights}")

@@ -42,16 +42,7 @@ from pixsim.studies.files import QUICK_REPEATS, checked_study, config_layers, st
 from pixsim.studies.lights import LightRequest, light_request
 from pixsim.studies.paired import FEWEST_PAIRS
 from pixsim.studies.prepare import Job, Types, asked_of, choose_view, is_picture, loaded_scene, sensor_case, with_delta_e, with_view
-from pixsim.studies.settings import (
-    NOT_SETTINGS,
-    STUDY_ALONE,
-    Study,
-    check_asked,
-    owner_of,
-    parts_of_study,
-    paths_of,
-    unused_settings,
-)
+from pixsim.studies.settings import STUDY_ALONE, Study, check_asked, owner_of, parts_of_study, paths_of, unused_settings
 from pixsim.studies.table import Label
 from pixsim.studies.uncertainty import FEW_SENSORS
 from pixsim.viewer.display import dot_edges_um
@@ -72,7 +63,6 @@ OF_A_SENSOR = ("camera", "lens", "pixel", "exposure")  # tables that each file h
 # technologies and pixel sizes are not used.
 OF_STUDY = sorted(Setting.model_fields, key=Effort.model_fields.__contains__)
 SHARED = [name for name in OF_STUDY if name not in ("scene", "camera", "lens", "pixel")]
-WORDS = {name for name, hint in NOT_SETTINGS.items() if not hint} - {"sensors"}  # of a study, that say nothing of a sensor
 SIZE = ("pitch_um", "data_sheet_pitch_um")  # of the pixel: each sensor has its own, as of its die
 DIGITS = 12  # of a chart's frequency on another sensor, so that settings.toml gives the same one again
 
@@ -217,16 +207,6 @@ def as_run(table: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
     return {name: table[name] for name in names if name in table and name != "scene"} | scene
 
 
-def not_used_of(table: Mapping[str, Any], other_scene: bool) -> tuple[str, ...]:
-    """Return the settings of a study's table that a comparison does not use, by their dotted names.
-
-    other_scene : whether the comparison has another scene
-    """
-    found = [name for name in table if name not in (*SHARED, *WORDS, "detail", "scene", "camera", "lens")]
-    found += [f"camera.{name}" for name in OF_DIE if name in table.get("camera", {})]
-    return *found, *(["scene"] if other_scene and "scene" in table else [])
-
-
 def warn_of_overridden(study: Study, options: Mapping[str, Any]) -> None:
     """Warn of options, as tables of `Run`, that every condition of a study overrides."""
     for path in paths_of(options):
@@ -266,6 +246,7 @@ class Circumstances:
     scene : file of the scene, where they set it; else empty
     at, alone, condition, labels : as of `Case`
     words : values of axes and condition, for messages
+    sensors : of a comparison, in these circumstances
     """
 
     weight: float = 1.0
@@ -275,6 +256,7 @@ class Circumstances:
     alone: str = ""
     condition: str = ""
     words: str = ""
+    sensors: tuple[Case[Run], ...] = ()
 
     @property
     def labels(self) -> dict[str, Label]:
@@ -320,41 +302,24 @@ def circumstances(plan: Study | None, source: str = "") -> list[list[Circumstanc
     return combined
 
 
-@dataclass(frozen=True)
-class Stated:
-    """What is stated for the sensors at values of axes, under one condition.
-
-    sensors : as of `read_sensors`, with the labels of the case
-    words : values of axes and condition, for messages
-    """
-
-    weight: float
-    scene: str
-    sensors: list[Case[Run]]
-    words: str = ""
-
-
-def stated_cases(
+def circumstances_of_sensors(
     files: Sequence[str], lens: Layer, config: Sequence[Layer], options: dict[str, Any], scene: str, plan: Study | None, source: str
-) -> list[list[Stated]]:
-    """Return the sensors at each combination of the axes of a study, and under each of its conditions.
+) -> list[list[Circumstances]]:
+    """Return the circumstances of a study with the sensors of files.
 
     lens, config, options : of `read_sensors`
+    scene : where the study's axes and conditions set none
     plan : the study, if there is one
     source : file of the study
     """
-    return [
-        [
-            Stated(
-                place.weight,
-                place.scene or scene,
-                [place.placed(sensor) for sensor in read_sensors(files, lens, config, options, place.layer)],
-                place.words,
-            )
-            for place in under
-        ]
-        for under in circumstances(plan, source)
-    ]
+    combined: list[list[Circumstances]] = []
+    for under in circumstances(plan, source):
+        complete = []
+        for place in under:
+            sensors = [place.placed(sensor) for sensor in read_sensors(files, lens, config, options, place.layer)]
+            complete.append(replace(place, scene=place.scene or scene, sensors=tuple(sensors)))
+        combined.append(complete)
+    return combined
 
 
 def warn_of_uncertainty(sources: Sequence[str]) -> None:
@@ -401,7 +366,7 @@ def _changed_lens(run: Run, first: Run) -> tuple[str, ...]:
 
 
 def group_of(
-    stated: Stated, numbers: Sequence[int], common: SensorGroup | None, match: Match, sensor: str | None, variant: str | None
+    stated: Circumstances, numbers: Sequence[int], common: SensorGroup | None, match: Match, sensor: str | None, variant: str | None
 ) -> SensorGroup:
     """Return some of the sensors that are stated, as if there were no others.
 
@@ -500,7 +465,6 @@ class ComparisonJob(Job[Run]):
     match : of the cameras that was asked for
     base : settings of each sensor, as the files and options have them without a condition
     study : whose settings, axes and conditions are those of all sensors, if any; its scene is that of the comparison
-    not_used : settings of the study that are not used, by their dotted names
     types : sensor types over which the comparison is repeated, if they are asked for
     """
 
@@ -508,7 +472,6 @@ class ComparisonJob(Job[Run]):
     match: Match
     base: tuple[Run, ...]
     study: Study | None = None
-    not_used: tuple[str, ...] = ()
     types: Types | None = field(default=None, repr=False)
 
     @property
@@ -597,12 +560,10 @@ def prepare(
     varied = [of_study for _, of_study in parts if of_study.table]
     check_asked("comparison", smaller_than_um=smaller_than_um, paper=parts[-1][1].table.get("paper"))
     plan, lens, file, source = None, Layer({}), "csf" if scene is None else str(scene), ""
-    not_used: tuple[str, ...] = ()
     if study is not None or varied:
         stated = study_of(study or Study.model_validate({"name": "comparison", "scene": {"file": file}}), quick)
         plan = with_range_ends(checked_study([stated, *varied]))
         source = stated.source
-        not_used = not_used_of(stated.table, scene is not None)
         if scene is not None:
             stated = Layer({name: value for name, value in stated.table.items() if name != "scene"}, stated.source)
             plan = plan.model_copy(update={"scene": StudyScene(file=file)})
@@ -614,7 +575,7 @@ def prepare(
     if study is None and plan is not None and not plan.has_cases and plan.detail is None:
         plan = None  # nothing of it holds for a comparison
     base = read_sensors(sources, lens, layers, options)
-    combined = stated_cases(sources, lens, layers, options, file, plan, source)
+    combined = circumstances_of_sensors(sources, lens, layers, options, file, plan, source)
 
     def groups_of(numbers: Sequence[int], by: Match) -> list[SensorGroup]:
         """Return some of the sensors in each case, as if there were no others."""
@@ -658,7 +619,6 @@ def prepare(
         match=chosen,
         base=tuple(case.settings for case in base),
         study=plan,
-        not_used=not_used,
         types=None if asked is None else Types.of(asked, base),
     )
 

@@ -469,7 +469,7 @@ def test_compare_study_answers_with_the_weighted_mean(under_study: tuple[Path, s
         *("weight", "scores", "difference", "interval_delta_e", "probability_a_better", "film_delta_e", "delta_e"),
     }  # fmt: skip
     assert found["shown_condition"] == "day"
-    assert found["study"] == {"name": "both", "not_used": ["technologies"]}
+    assert found["study"] == {"name": "both"}
     answer, head, _, _, common, *_ = out.splitlines()
     assert answer.startswith("quiet ")
     assert "; depends on the match: quiet is better with view, " in answer

@@ -98,7 +98,7 @@ def test_one_condition_is_the_comparison_without_a_study(alone: list[Comparison]
     of_night = {"scene": {"file": "csf"} | NIGHT["scene"], "camera": NIGHT["camera"], "display": NIGHT["display"]}
     without = pixsim.compare(files, study=plan(**of_night), match="view", repeats=3, jobs=1)
     assert {name: numbers(without)[name] for name in answers} == expected
-    assert without.as_dict()["study"] == {"name": "both", "not_used": []}
+    assert without.as_dict()["study"] == {"name": "both"}
     assert "conditions" not in without.as_dict()
 
 
@@ -138,7 +138,6 @@ def test_layers_lens_then_file_then_study_then_options_then_condition(tmp_path: 
     assert times_s == [0.05, 0.05], "the study's takes precedence over a file's"
     assert {each.settings.exposure.well_target for part in made.groups for each in part.cases} == {0.5}
     assert made.shown.cases[0].camera.die_mm == 1.28
-    assert set(made.not_used) == {"technologies", "camera.die_mm"}
 
 
 def test_correction_development_and_lens_of_a_study_are_those_of_all(files: list[Path]) -> None:
@@ -151,7 +150,6 @@ def test_correction_development_and_lens_of_a_study_are_those_of_all(files: list
     assert made.shown.first.settings.correction.dark_frames == 4
     assert [each.camera for each in made.shown.cases] == [each.camera for each in same.shown.cases]
     assert made.shown.cases[0].camera.lens is not None
-    assert made.not_used == ()
 
 
 def test_options_that_every_condition_sets_are_named(files: list[Path], recwarn: pytest.WarningsRecorder) -> None:
@@ -165,7 +163,6 @@ def test_scene_of_option_is_without_the_parameters_of_the_study(files: list[Path
     study = plan(scene={"file": "csf", "parameters": {"max_lp_per_mm": 12.0}})
     made = prepare(files, "flat", study=study, match="view", repeats=2)
     assert made.shown.scene == "flat"
-    assert made.not_used == ("scene",)
     assert prepare(files, study=study, match="view", repeats=2).shown.cases[0].scene.parameters["max_lp_per_mm"] == "12.0"
 
 
