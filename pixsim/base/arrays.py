@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import operator
 import os
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import IO, Annotated, Any, TypeVar
@@ -20,7 +18,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from pixsim.base.bounds import FINITE, INFINITE_TOO, NOT_NEGATIVE, POSITIVE, Axes, Bounds
 from pixsim.base.errors import PixsimError, invalid, one_line
-from pixsim.base.files import check_compression, check_size, opened, reason
+from pixsim.base.files import check_compression, opened, reason
 from pixsim.base.lazy import load_when_used
 from pixsim.base.machine import threads
 
@@ -184,24 +182,16 @@ def _dct_workers(planes: NDArray[Any]) -> int:
 
 def first_where(mask: NDArray[np.bool_]) -> tuple[int, ...] | None:
     """Index of the first true value, or None. `np.argwhere` would list all of them, in 8 bytes for each axis."""
-    at = int(mask.argmax()) if mask.size else 0
-    index = tuple(int(i) for i in np.unravel_index(at, mask.shape)) if mask.size else ()
-    return index if mask.size and mask[index] else None
+    if not mask.any():
+        return None
+    return tuple(int(place) for place in np.unravel_index(mask.argmax(), mask.shape))
 
 
 MAX_ARRAYS = 4096
 PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # of NumPy; the others allocate what a member declares
 
 
-@dataclass(frozen=True)
-class ArrayHeader:
-    """What an array declares before its values are read."""
-
-    shape: tuple[int, ...]
-    dtype: np.dtype[Any]
-
-
-Check = Callable[[str, ArrayHeader], object]  # of the name of an array, raises PixsimError
+Check = Callable[[str, NDArray[Any]], object]  # of the name of an array, raises PixsimError
 
 
 def read_arrays(
@@ -210,7 +200,7 @@ def read_arrays(
     """Read arrays of an `.npz` by name.
 
     choose : returns the names of the arrays to read from the names of all; the others stay packed
-    check : is called with the name and the header of each array before its values are read
+    check : is called with the name of each array and the array
 
     Raises PixsimError if the file is damaged, too large (`max_file_bytes`) or holds pickled objects, and as `choose` and `check`.
     """
@@ -220,27 +210,26 @@ def read_arrays(
             raise invalid(f"archive '{path}'", f"{len(archive.infolist())} members", f"at most {MAX_ARRAYS}")
         wanted = {array: members[array] for array in choose(list(members))}
         # zipfile reads no more than its directory lists.
-        declared, stored = sum(entry.file_size for entry in wanted.values()), os.fstat(file.fileno()).st_size
-        check_compression(f"archive '{path}'", declared, stored)
+        declared = sum(entry.file_size for entry in wanted.values())
+        check_compression(f"archive '{path}'", declared, os.fstat(file.fileno()).st_size)
+
+        result = {}
         for array, entry in wanted.items():
             if entry.compress_type not in PACKINGS:
                 raise invalid(name, f"'{path}' with {array} packed by method {entry.compress_type}", "stored or deflated arrays")
             with archive.open(entry) as member:
-                check(array, _npy_header(member, entry.file_size, path, name, expected))
-        result = {}
-        for array, entry in wanted.items():
-            with archive.open(entry) as member:
                 result[array] = np.lib.format.read_array(member, allow_pickle=False)
                 member.read(1)  # zipfile compares the CRC at the end of the member
+            check(array, result[array])
     return result
 
 
 def read_array(path: Path, name: str, expected: str, check: Check = lambda *_: None) -> NDArray[Any]:
     """Read the array of an `.npy`. Raises PixsimError if the file is not a valid one or too large, and as `check` does."""
     with _open_numpy(path, name, expected) as file:
-        check(path.stem, _npy_header(file, os.fstat(file.fileno()).st_size, path, name, expected))
-        file.seek(0)
-        return np.lib.format.read_array(file, allow_pickle=False)
+        array = np.lib.format.read_array(file, allow_pickle=False)
+    check(path.stem, array)
+    return array
 
 
 @contextmanager
@@ -253,21 +242,6 @@ def _open_numpy(path: Path, name: str, expected: str) -> Iterator[IO[bytes]]:
             raise
         except Exception as error:  # a decoder may raise anything for a damaged file
             raise invalid(name, f"'{path}' ({reason(error)})", expected) from None
-
-
-def _npy_header(file: IO[bytes], size_bytes: int, path: Path, name: str, expected: str) -> ArrayHeader:
-    """Header of an array of `size_bytes`. Raises PixsimError if it declares pickled objects or more than these bytes."""
-    version = np.lib.format.read_magic(file)
-    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, _, dtype = read_header(file)
-    if dtype.hasobject:
-        raise invalid(name, f"'{path}' with pickled objects", expected)
-    declared = math.prod(shape) * dtype.itemsize
-    if min(shape, default=0) < 0 or declared > size_bytes - file.tell():
-        got = f"'{path}' with {' × '.join(map(str, shape))} values of {dtype.itemsize} bytes in {size_bytes} bytes"
-        raise invalid(name, got, expected)
-    check_size(f"array in '{path}'", declared)
-    return ArrayHeader(shape, dtype)
 
 
 _key_text = json.JSONEncoder(default=operator.index).encode  # `operator.index` treats NumPy integers as Python integers

@@ -14,7 +14,6 @@ import io
 import json
 import os
 import platform
-import re
 import shutil
 import stat
 import time
@@ -227,7 +226,6 @@ def disk_faults_named(folder: Path, target: Path, kept: str) -> Iterator[None]:
 
 
 SETTLED_NS = 2_000_000_000  # since a file's last change, so that another change shows in its times
-_digests: dict[tuple[int, ...], str] = {}  # of files by their place, size and times of change
 
 
 def digest_of(path: Path) -> str:
@@ -237,14 +235,16 @@ def digest_of(path: Path) -> str:
     """
     with opened(path, "file", "a readable file") as file:
         status = os.fstat(file.fileno())
-        key = status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
-        settled = time.time_ns() - max(status.st_mtime_ns, status.st_ctime_ns) > SETTLED_NS
-        if settled and key in _digests:
-            return _digests[key]
-        digest = hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
-    if settled:
-        _digests[key] = digest
-    return digest
+    times_ns = status.st_mtime_ns, status.st_ctime_ns
+    if time.time_ns() - max(times_ns) < SETTLED_NS:
+        _digest_of.cache_clear()
+    return _digest_of(path, (status.st_dev, status.st_ino, status.st_size, *times_ns))
+
+
+@cache
+def _digest_of(path: Path, _: tuple[int, ...]) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
 
 
 # --- output folders ---------------------------------------------------------------------------------------------------------------
@@ -354,17 +354,11 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), PIXSIM: VERSION, **{name: version_of(name) for name in DEPENDENCIES}}
 
 
-@cache
 def version_of(package: str) -> str:
-    """Version of an installed package; of its metadata the head alone is read, which `importlib.metadata` parses as an e-mail.
-
-    Raises importlib.metadata.PackageNotFoundError if it is not installed.
-    """
+    """Version of an installed package. Raises importlib.metadata.PackageNotFoundError if it is not installed."""
     from importlib import metadata  # imported here: it takes 20 ms
 
-    distribution = metadata.distribution(package)
-    found = re.search(r"^Version: *(\S+)", distribution.read_text("METADATA") or "", re.MULTILINE)
-    return found[1] if found else distribution.version
+    return metadata.version(package)
 
 
 def write_json(path: Path, content: Mapping[str, Any], *, named: bool = True) -> None:

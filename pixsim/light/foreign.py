@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.arrays import Array, ArrayHeader, first_where, read_arrays, strips
+from pixsim.base.arrays import Array, first_where, read_arrays, strips
 from pixsim.base.errors import PixsimError, excerpt, invalid, names_in
 from pixsim.base.files import check_size, read_bytes, reason, size_of
 from pixsim.base.notes import Note, warn
@@ -247,13 +247,13 @@ def read_npz(path: Path) -> Cube:
             raise invalid(f"arrays in '{path}'", shortened(names_in(names)) or "none", allowed)
         return names
 
-    def check(name: str, header: ArrayHeader) -> None:
-        _check_size(path, header.shape)
+    def check(name: str, values: NDArray[Any]) -> None:
+        _check_size(path, values.shape)
         if name == "data":
-            if len(header.shape) != 3 or header.dtype.kind not in "iuf":
-                raise invalid(f"arrays in '{path}'", f"data {header.dtype} {header.shape}", NPZ_SHAPES)
-        elif math.prod(header.shape) * header.dtype.itemsize > MAX_METADATA:
-            raise invalid(f"{name} in '{path}'", f"{math.prod(header.shape)} values", f"up to {MAX_METADATA} bytes")
+            if values.ndim != 3 or values.dtype.kind not in "iuf":
+                raise invalid(f"arrays in '{path}'", f"data {values.dtype} {values.shape}", NPZ_SHAPES)
+        elif values.nbytes > MAX_METADATA:
+            raise invalid(f"{name} in '{path}'", f"{values.size} values", f"up to {MAX_METADATA} bytes")
 
     expected = "a readable file from numpy.savez without pickled objects"
     arrays: dict[str, Any] = read_arrays(path, "npz file", expected, choose, check)

@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pixsim.base.arrays import Array, ArrayHeader, NotNegativeArray, first_where, read_array, read_arrays
+from pixsim.base.arrays import Array, NotNegativeArray, first_where, read_array, read_arrays
 from pixsim.base.bounds import NotNegative, Positive
 from pixsim.base.errors import PixsimError, invalid, names_in
 from pixsim.base.files import MAX_PICTURE, judge_picture, opened, reason, size_of
@@ -345,13 +345,13 @@ def _read_exr(path: Path, *_: str) -> tuple[NDArray[Any], dict[str, Any]]:
 def _read_numpy(path: Path, name: str, expected: str) -> tuple[NDArray[Any], dict[str, Any]]:
     stored = (*FACTS, LAYOUT, SATURATED)
 
-    def check(array: str, header: ArrayHeader) -> None:
+    def check(array: str, values: NDArray[Any]) -> None:
         if array in stored and path.suffix.lower() == ".npz":
             return  # what is no such fact is left out behind
-        if not (len(header.shape) == 2 or header.shape[2:] in ((3,), (4,))) or header.dtype.kind not in "biuf":
-            raise invalid(f"{name} '{path}'", f"{header.dtype} of shape {header.shape}", "real or whole numbers, (rows, columns)")
-        if math.prod(header.shape) > MAX_PICTURE:
-            raise invalid(f"{name} '{path}'", f"{' × '.join(map(str, header.shape))} samples", f"up to {MAX_PICTURE} in all")
+        if not (values.ndim == 2 or values.shape[2:] in ((3,), (4,))) or values.dtype.kind not in "biuf":
+            raise invalid(f"{name} '{path}'", f"{values.dtype} of shape {values.shape}", "real or whole numbers, (rows, columns)")
+        if values.size > MAX_PICTURE:
+            raise invalid(f"{name} '{path}'", f"{' × '.join(map(str, values.shape))} samples", f"up to {MAX_PICTURE} in all")
 
     def choose(names: list[str]) -> list[str]:
         if "dn" not in names and len(names) != 1:
