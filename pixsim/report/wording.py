@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +11,6 @@ from pixsim.base.digits import f_stop, interval, pixel_size, within_error
 from pixsim.base.headline import NOT_CONVERGED
 from pixsim.optics.camera import Camera
 from pixsim.report.score import unmet
-from pixsim.scene.convergence import samples_factor
 from pixsim.show.document import Answer, Strong
 from pixsim.studies.film_error import FilmError, light_error_and_limit
 from pixsim.studies.merit import stated_end_lp_per_mm
@@ -79,10 +77,7 @@ def unconverged(header: Mapping[str, Any], film: FilmError | None) -> list[str]:
     if "film_delta_e" in above:
         means.append(f"a finer film ({setting('resolution')})")
     if "noise_delta_e" in above:
-        noise = header["render_noise"]
-        is_known = math.isfinite(above["noise_delta_e"])
-        sizes = (error.noise_delta_e, limit.noise_delta_e) if is_known else (noise["fraction"], noise["target"])
-        means.append(f"a longer {setting('max_seconds')} (about {samples_factor(*sizes):.15g} times as many samples)")
+        means.append(f"a longer {setting('max_seconds')}")
     means.append(f"or a smaller part of the die ({setting('window_mm')}, in mm)")
     return [f"{first}. To be surer: {', '.join(means)}"]
 
