@@ -136,12 +136,11 @@ def axes_files(study: Study) -> set[str]:
     return {"report.html", "summary.json", SETTINGS_FILE, "optima.csv", REGRETS_FILE, *figure_files(plates), *own}
 
 
-def study_report(result: StudyResult, regrets: Sequence[Regrets], workers: Workers, drawing: StudyDrawing) -> Document:
+def study_report(result: StudyResult, workers: Workers, drawing: StudyDrawing) -> Document:
     """Return the document of any study with its page and all other files; the first cases of one with axes have their own.
 
     It is reproducible byte for byte, and does not depend on the workers.
 
-    regrets : `condition_regrets` of the study
     workers : processes that make pictures
     drawing : thread that draws figures
     """
@@ -153,7 +152,8 @@ def study_report(result: StudyResult, regrets: Sequence[Regrets], workers: Worke
     )
     parts = list(zip(cases, result.parts[: len(cases)], strict=True))
     pages = {case.folder: draw(part) for case, part in parts}
-    return with_files_of_study(replace(axes_page(result, regrets, parts), parts=pages), result)
+    page = axes_page(result, condition_regrets(result.study, result.curves), parts)
+    return with_files_of_study(replace(page, parts=pages), result)
 
 
 def axes_page(result: CasesResult, regrets: Sequence[Regrets], parts: Sequence[tuple[Case[Study], StudyResult]]) -> Document:
@@ -216,18 +216,20 @@ def verdict_words(verdict: Verdict) -> str:
     return "; ".join(curve.words or BASE for curve in verdict.turned_by)
 
 
-def result_document(result: StudyResult) -> Document:
-    """Return the answer of any study, without the figures and pictures of its page."""
+def result_document(result: StudyResult, warned: Collection[str] = ()) -> Document:
+    """Return the answer of any study, without the figures and pictures of its page.
+
+    warned : notes that a reader of the terminal has seen
+    """
     if isinstance(result, CasesResult):
-        return axes_document(result, condition_regrets(result.study, result.curves))
-    return study_document(result)
+        return axes_document(result, condition_regrets(result.study, result.curves), warned)
+    return study_document(result, warned)
 
 
 def result_page(result: StudyResult, figures: Figures) -> Document:
     """Return the document of any study with its page and all other files."""
-    regrets = condition_regrets(result.study, result.curves)
     with study_drawing(figures) as drawing:
-        page = study_report(result, regrets, Workers(), drawing)
+        page = study_report(result, Workers(), drawing)
         drawing.wait()
     return page
 

@@ -8,8 +8,9 @@ import numpy as np
 import scipy  # whose parts are imported when they are used
 
 from pixsim.base.arrays import Array
+from pixsim.report.panels import MARKED_LINE, Line, LinePanel, draw_panels
 from pixsim.report.pictures import picture_axes
-from pixsim.show.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, fix_margins, label_axes, new_figure
+from pixsim.show.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, label_axes, new_figure
 from pixsim.show.pages import Drawing, Plate, figure
 from pixsim.studies.claims import (
     FIGURE_2B_PITCHES_UM,
@@ -39,46 +40,34 @@ def numbered(plate: Plate, number: int, name: str) -> Plate:
 def figure_2a(result: StudyResult) -> Drawing:
     """Plot DR and SNR at 20 % of the well against pitch, at 30 ms, for both capacitances."""
     pitch_um, process = np.geomspace(5.3, 15.0, 40), reference_process(result.study)
-    figure = new_figure(6.0, 3.8)
-    axes = figure.subplots()
-    fix_margins(figure)
     table: dict[str, Array] = {"pitch_um": pitch_um}
-    looks = iter(LOOKS)
+    lines = []
     for capacitance in ("paper", "mosis"):
-        for name, db in zip(("DR", "SNR at 20 % well"), dr_and_snr_db(pitch_um, capacitance, process), strict=True):
-            look = next(looks)
-            axes.plot(pitch_um, db, ms=4, markevery=6, label=f"{name}, capacitance '{capacitance}'", **look.line)
-            table[f"{name.split()[0].lower()}_{capacitance}_db"] = db
-    axes.axhspan(35, 70, color="0.93", zorder=0, label="axis of the paper's Fig. 2a")
-    axes.set(xlabel="pixel size (µm)", ylabel="dynamic range, and SNR (dB)")
-    axes.legend(frameon=False, fontsize=8, handlelength=LEGEND_LINE)
-    return figure, table
+        for name, db in zip(("DR", "SNR"), dr_and_snr_db(pitch_um, capacitance, process), strict=True):
+            column = f"{name.lower()}_{capacitance}_db"
+            table[column] = db
+            lines.append(Line("pitch_um", column, f"{name}, capacitance '{capacitance}'", MARKED_LINE))
+    return draw_panels(table, [LinePanel("pixel size (µm)", "DR, and SNR at 20 % well (dB)", lines)])
 
 
 @figure(
     "figure_2b_mtf",
-    "Figure 2b: MTF of four pixel sizes from the scene to the sensor, white-light diffraction times the photodiode's sinc. Dotted: "
-    "the Nyquist frequency of each pixel. The photodiode is smaller than the pixel (fill factor), so it blurs less than the pitch "
+    "Figure 2b: MTF of four pixel sizes from the scene to the sensor, white-light diffraction times the photodiode's sinc. "
+    "The photodiode is smaller than the pixel (fill factor), so it blurs less than the pitch "
     "suggests.",
 )
 def figure_2b(result: StudyResult) -> Drawing:
     """Plot the system MTF of four pixels."""
     relative = np.linspace(0.0, 1.0, 101)
     frequency = relative * SIX_UM_NYQUIST_CY_PER_MM
-    figure = new_figure(6.0, 3.9)
-    axes = figure.subplots()
-    fix_margins(figure)
     table: dict[str, Array] = {"frequency_over_6um_nyquist": relative, "frequency_lp_per_mm": frequency}
-    for pitch_um, look in zip(FIGURE_2B_PITCHES_UM, LOOKS, strict=False):
-        mtf = system_mtf(result, result.physics(REFERENCE_TECHNOLOGY, pitch_um), frequency)
-        axes.plot(relative, mtf, markevery=20, ms=4, label=f"{pitch_um:g} µm", **look.line)
-        nyquist = 6.0 / pitch_um
-        axes.plot([nyquist] * 2, [0, np.interp(nyquist, relative, mtf)], ":", color=look.colour, lw=1)
-        table[f"mtf_{pitch_um:g}um"] = mtf
-    axes.set(xlabel="frequency over the Nyquist frequency of 6 µm pixels (83.3 lp/mm)")
-    axes.set(ylabel="MTF: contrast over the scene's", ylim=(0, 1))
-    axes.legend(title="pixel size", frameon=False, handlelength=LEGEND_LINE)
-    return figure, table
+    lines = []
+    for pitch_um in FIGURE_2B_PITCHES_UM:
+        column = f"mtf_{pitch_um:g}um"
+        table[column] = system_mtf(result, result.physics(REFERENCE_TECHNOLOGY, pitch_um), frequency)
+        lines.append(Line("frequency_over_6um_nyquist", column, f"{pitch_um:g} µm", MARKED_LINE))
+    x = "frequency over the Nyquist frequency of 6 µm pixels (83.3 lp/mm)"
+    return draw_panels(table, [LinePanel(x, "MTF: contrast over the scene's", lines, axes={"ylim": (0, 1)})])
 
 
 @figure(

@@ -64,16 +64,10 @@ def contrast_words(result: StudyResult, curve: Curve) -> list[str]:
 
 
 def study_facts(result: StudyResult) -> list[Block]:
-    """Return what follows the optima of a study: regrets, metrics without a best size, errors of its light, and how it is shown."""
+    """Return what follows the optima of a study: regrets, errors of its light, and how it is shown."""
     regrets = filter(None, map(metric_regrets, result.curves[:MAX_REGRET_TABLES]))
-    undefined = [
-        f"{curve.label}: {metric.words} tells no best size, since it is 0 or below, or has no number, for too many sizes"
-        for curve in result.curves
-        for metric in curve.metrics
-        if metric.has_optimum and metric.name not in curve.optima
-    ]
     contrasts = [line for curve in result.curves for line in contrast_words(result, curve)]
-    lines = [*undefined, *contrasts, *study_unconverged(result), *study_light_words(result), *study_view_words(result)]
+    lines = [*contrasts, *study_unconverged(result), *study_light_words(result), *study_view_words(result)]
     return [*(table for curve_regrets in regrets for table in regrets_tables(curve_regrets)), *map(Fact, lines)]
 
 

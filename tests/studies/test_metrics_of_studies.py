@@ -23,8 +23,8 @@ from pixsim.report.axes import axes_files, axes_page, cases_data, optima_columns
 from pixsim.report.regret import regret_percent, regrets_data, regrets_tables
 from pixsim.report.run import found_threshold_words, run_document
 from pixsim.report.study import study_document
-from pixsim.report.study_facts import contrast_words, study_facts, study_notes
-from pixsim.show.document import DocumentTable, Fact
+from pixsim.report.study_facts import contrast_words, study_notes
+from pixsim.show.document import DocumentTable
 from pixsim.show.render import text
 from pixsim.studies import sensors
 from pixsim.studies.curve import Curve, shown_mean_and_ci95
@@ -92,12 +92,6 @@ def test_regrets_of_metrics_match_closed_forms() -> None:
     np.testing.assert_allclose(regrets.matrix, [[0.0, wanted], [wanted, 0.0]], atol=0.05)  # sizes are known to 2 %
     _, matrix = regrets_tables(regrets)
     assert next(iter(matrix.rows)) == ("1 mean ΔE", "–", regret_percent(regrets.matrix[0, 1]))
-
-
-def test_metric_without_a_best_size_says_so(judged: tuple[StudyResult, Path]) -> None:
-    result = replace(judged[0], curves=(replace(judged[0].curves[0], fits={}),))
-    words = [block.text for block in study_facts(result) if isinstance(block, Fact)]
-    assert words[0].endswith("information tells no best size, since it is 0 or below, or has no number, for too many sizes")
 
 
 def test_nothing_is_left_of_a_best_value_of_zero() -> None:

@@ -11,10 +11,10 @@ from pixsim.base.errors import UnwritableError
 from pixsim.base.files import check_replaceable
 from pixsim.base.notes import collected_notes
 from pixsim.base.progress import Stage
-from pixsim.report.axes import axes_document, axes_files, study_report
+from pixsim.report.axes import axes_files, result_document, study_report
 from pixsim.report.commands import DEFAULT_OUT
 from pixsim.report.outline import outline_document, study_outline
-from pixsim.report.study import report_files, study_document, study_drawing
+from pixsim.report.study import report_files, study_drawing
 from pixsim.report.uncertainty import uncertainty_files
 from pixsim.show.document import Document
 from pixsim.show.pages import Figures
@@ -23,7 +23,6 @@ from pixsim.studies.dry_run import fitting_jobs
 from pixsim.studies.engine import Workers, workers_here
 from pixsim.studies.files import checked_study, config_layers, read_study, uncertainty_of
 from pixsim.studies.prepare import asked_of, check_types, prepare
-from pixsim.studies.regret import condition_regrets
 from pixsim.studies.result import CasesResult
 from pixsim.studies.settings import study_layers, with_axes
 from pixsim.studies.study import run_prepared
@@ -98,13 +97,10 @@ def study_files(
             progress("report")
             first = result.cases[0]
             workers = workers_here(jobs or fitting_jobs(first.study, first.camera)) if scheduler is None else Workers()
-            regrets = condition_regrets(result.study, result.curves)
-            page = write(study_report(result, regrets, workers, drawing), folder, {"seconds": seconds}, figures)
-        warned = set(result.warned)  # they are on stderr
+            page = write(study_report(result, workers, drawing), folder, {"seconds": seconds}, figures)
         if isinstance(result, CasesResult):
             say(str(result.counts))
-            return axes_document(result, regrets, warned), page
-        return study_document(result, warned), page
+        return result_document(result, warned=set(result.warned)), page  # they are on stderr
 
 
 @contextmanager
