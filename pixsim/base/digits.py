@@ -56,15 +56,13 @@ def _micrometres(size: float) -> str:
     return rounded(size) if size < SMALL_SIZE else f"{round(size, 2):.15g}"
 
 
-def number(value: float | None, digits: int = 2, least: float = 0.0) -> str:
-    """Return a value in significant digits; a dash where it is unknown or infinite, 0 where it is below `least`.
+def number(value: float | None, digits: int = 2) -> str:
+    """Return a value in significant digits; a dash where it is unknown or infinite.
 
-    >>> number(0.0123), number(None), number(float("inf")), number(3e-12, least=1e-8)
-    ('0.012', '–', '–', '0')
+    >>> number(0.0123), number(None), number(float("inf"))
+    ('0.012', '–', '–')
     """
-    if value is None or not math.isfinite(value):
-        return UNKNOWN
-    return "0" if abs(value) < least else rounded(value, digits)
+    return UNKNOWN if value is None or not math.isfinite(value) else rounded(value, digits)
 
 
 def amount(count: float, digits: int = 3) -> str:
@@ -133,18 +131,6 @@ def exposure_time(seconds: float, digits: int = 3) -> str:
     """
     unit, size_s = ("s", 1.0) if seconds >= 1 else ("ms", 1e-3) if seconds >= 1e-4 or seconds == 0 else ("µs", 1e-6)
     return f"{rounded(seconds / size_s, digits)} {unit}"
-
-
-def exposure_times(shortest_s: float, longest_s: float) -> str:
-    """Return a range of times of exposure, with one unit where both have it.
-
-    >>> exposure_times(0.00165, 0.0321), exposure_times(0.1, 2.5), exposure_times(1000.0, 1000.0)
-    ('1.65 to 32.1 ms', '100 ms to 2.5 s', '1000 s')
-    """
-    (first, unit), (last, last_unit) = (exposure_time(seconds).split() for seconds in (shortest_s, longest_s))
-    if unit == last_unit:
-        return span(first, last, unit=f" {unit}")
-    return f"{first} {unit} to {last} {last_unit}"
 
 
 def f_stop(value: float) -> str:
@@ -250,24 +236,14 @@ def within_error(value: float, error: float) -> str:
 def with_ends(value: float, ends: tuple[float, float]) -> str:
     """Return a number with the ends of its interval in brackets, with the digits that half of the interval allows.
 
-    Half of an interval without end is the distance from the other one. A number that would look like an end has a digit more.
+    Half of an interval without end is the distance from the other one.
 
     >>> with_ends(0.1234, (0.0612, 0.22)), with_ends(10.52, (10.41, 10.64)), with_ends(2.0, (1.0, float("inf")))
     ('0.12 (0.06 to 0.22)', '10.5 (10.4 to 10.6)', '2.0 (1.0 to ∞)')
-    >>> with_ends(0.535, (0.457, 0.692))
-    '0.54 (0.46 to 0.69)'
     """
     error = min((ends[1] - ends[0]) / 2, abs(value - ends[0]) if ends[1] == math.inf else math.inf)
-    texts = [within_error(end, error) for end in ends]
-    if error > COARSE[0] and within_error(value, error) in texts:
-        error = max(error / 10, COARSE[0])
     low, high = ("∞" if end == math.inf else within_error(end, error) for end in ends)
     return f"{within_error(value, error)} ({low} to {high})"
-
-
-def _without_exponent(text: str) -> str:
-    """Write a number such as 1e+01 as 10, up to 1e15."""
-    return f"{float(text):.0f}" if "e+" in text and abs(float(text)) < 1e15 else text
 
 
 def told_apart(value: float, limit: float, digits: int = 2) -> tuple[str, str]:
@@ -279,7 +255,7 @@ def told_apart(value: float, limit: float, digits: int = 2) -> tuple[str, str]:
     ('10', '0.2')
     """
     for count in range(digits, MOST_DIGITS + 1):
-        texts = _without_exponent(f"{value:.{count}g}"), _without_exponent(f"{limit:.{count}g}")
+        texts = rounded(value, count), rounded(limit, count)
         if value == limit or float(texts[0]) != float(texts[1]):
             return texts
     return texts

@@ -14,23 +14,19 @@ from typing import Any
 from pixsim.base.errors import invalid
 from pixsim.base.notes import Note
 
+# 1: names of settings and of entries, technologies 4t-*, random streams of large frames, and one results.csv for all cases.
+# 2: notes, which have ids, and entries that the JSON of all commands has: settings, cases, table, optima.
 SCHEMA = 2
 ROW_SCHEMAS = frozenset({"1", "2"})  # whose rows of results.csv are those of this one
 KEY = "schema"
-CHANGES = {
-    1: "names of settings and of entries, technologies 4t-*, random streams of large frames, and one results.csv for all cases",
-    2: "notes, which have ids, and entries that the JSON of all commands has: settings, cases, table, optima",
-}
 SHARED_KEYS = ("settings", "cases", "table", "optima", "notes")
 ONE_CASE: tuple[Mapping[str, Any], ...] = ({"at": {}},)
-PREVIEW = "no schema, as files of previews of pixsim 0.1"
 
 
 def of_another(got: object) -> str:
     """Return what is said of a file that states another schema, or none (None, or an empty text)."""
-    if got in (None, ""):
-        return f"{PREVIEW}; schema {SCHEMA} changed {CHANGES[SCHEMA]}"
-    return f"schema {str(got)[:20]}; this version of pixsim has schema {SCHEMA}"
+    stated = "no schema" if got in (None, "") else f"schema {str(got)[:20]}"
+    return f"{stated}; this version of pixsim has schema {SCHEMA}"
 
 
 def check_not_newer(name: str, got: object) -> None:

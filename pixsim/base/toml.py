@@ -13,8 +13,7 @@ from typing import Any
 
 from pixsim.base.errors import invalid
 from pixsim.base.files import read_text
-from pixsim.base.notes import Note, warn
-from pixsim.base.schema import KEY, SCHEMA, check_not_newer, of_another
+from pixsim.base.schema import KEY, SCHEMA, check_not_newer
 
 MAX_BYTES = 1 << 20
 MAX_DIGITS = 250  # in any base: larger numbers exceed a float, and Python does not convert them to text
@@ -41,7 +40,8 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise invalid(source, "too many nested tables", f"at most {MAX_DEPTH} levels") from None
     if depth(table) > MAX_DEPTH:
         raise invalid(source, f"tables nested {depth(table)} levels deep", f"at most {MAX_DEPTH}")
-    _check_schema(path, text)
+    if stated := STATED.match(text):
+        check_not_newer(f"settings '{path}'", int(stated[1]))
     return table
 
 
@@ -53,18 +53,6 @@ def _without_names(error: ValueError) -> str:
     )
     words = {"Cannot declare": "a table that is declared twice", "Duplicate inline table key": "a key twice in a table"}
     return (words.get(of_keys[1], of_keys[1]) if of_keys else text) + place + end
-
-
-def _check_schema(path: Path, text: str) -> None:
-    """Check a file that pixsim wrote beside results: a newer one is refused, and one of a preview gets a warning.
-
-    Its numbers may have another meaning now. Files that users wrote state no schema.
-    """
-    if stated := STATED.match(text):
-        check_not_newer(f"settings '{path}'", stated[1] and int(stated[1]))
-        if stated[1] is None:
-            words = f"settings '{path}' state {of_another(None)}: their results may differ from those beside them; write them anew"
-            warn(Note("file_as_read", words=words))
 
 
 def depth(value: object) -> int:
@@ -98,7 +86,7 @@ def kind_of_value(value: object) -> str:
 
 
 HEAD = "# The settings of this folder"  # first line of such a file
-STATED = re.compile(rf"{HEAD}(?:, {KEY} (\d{{1,9}}))?\.")
+STATED = re.compile(rf"{HEAD}, {KEY} (\d{{1,9}})\.")
 SETTINGS_FILE = "settings.toml"  # in every output folder of `pixsim run` and `pixsim study`
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from pixsim.base.arrays import Array
 from pixsim.base.caller import setting
-from pixsim.base.digits import exposure_times, percent
+from pixsim.base.digits import exposure_time, percent, span
 from pixsim.base.errors import invalid
 from pixsim.base.notes import Note, warn
 from pixsim.light.spectral import DIFFUSER, DIFFUSER_W, LEAST_LM_PER_W, WHITE_RADIANCE, SpectralImage
@@ -334,7 +334,7 @@ class LightLevel(NamedTuple):
     @property
     def exposure(self) -> str:
         """Exposure time or its range, as text."""
-        return exposure_times(self.shortest_s, self.longest_s)
+        return span(exposure_time(self.shortest_s), exposure_time(self.longest_s))
 
     def __str__(self) -> str:
         return f"display white is {self.white:.4g} {self.unit} in the scene; exposed for {self.exposure}"

@@ -348,7 +348,7 @@ def test_study_page_states_light_level(studied: tuple[StudyResult, Path], tmp_pa
 
 def test_light_level_exposure_range(studied: tuple[StudyResult, Path]) -> None:
     irradiance, display = studied[0].irradiance, studied[0].study.display
-    assert str(LightLevel.of(irradiance, display, [0.02, 0.005, 0.0123])).endswith("exposed for 5 to 20 ms")
+    assert str(LightLevel.of(irradiance, display, [0.02, 0.005, 0.0123])).endswith("exposed for 5 ms to 20 ms")
     assert str(LightLevel.of(irradiance, display, [0.02, 0.0200001])).endswith("exposed for 20 ms")
 
 
