@@ -29,14 +29,14 @@ from pixsim.light.spectral import (
 from pixsim.optics.camera import Camera
 from pixsim.optics.camera_lens import Tiling, rendered_camera, without_lens
 from pixsim.optics.camera_light import camera_factor, camera_pupil
-from pixsim.optics.lens_defocus import Defocus, depth_of_field_m, finite_or_none
+from pixsim.optics.lens_defocus import depth_of_field_m, finite_or_none
 from pixsim.optics.quantities import AnyDistance
 from pixsim.scene import bands as spectral_bands, film, rules, white_plate
 from pixsim.scene.bands import Bands, Fit, Witness
 from pixsim.scene.contents import Lamp, Surfaces
 from pixsim.scene.film import GREEN_NM
 from pixsim.scene.inspection import Inspection, inspect_scene
-from pixsim.scene.real_lens import decide_defocus, decide_real_lens, real_lens_warnings
+from pixsim.scene.real_lens import decide_real_lens, out_of_focus, real_lens_warnings
 from pixsim.scene.rules import TOLERANCE_E, Chart, Decision
 from pixsim.scene.scene import Scene, film_size, sample_count
 from pixsim.scene.white_plate import distance_of_plate_m, place_of_plate
@@ -161,7 +161,6 @@ class FilmPlan:
     diffraction : whether diffraction is computed
     tiling : of the blur of a real lens; None for a thin lens, and where a thin lens takes its place
     ends : whether the scene ends with the film, above and below, and at the left and the right: there a margin mirrors the film
-    defocus : what the thin lens's defocus is off at depths of the scene behind a real lens, largest errors first
     in_focus_m : the nearest and the farthest depth at which a point's disc is a pixel wide at most; None without a pixel
     """
 
@@ -170,7 +169,6 @@ class FilmPlan:
     diffraction: bool = True
     tiling: Tiling | None = None
     ends: tuple[bool, bool] = (False, False)
-    defocus: tuple[Defocus, ...] = ()
     in_focus_m: tuple[AnyDistance, AnyDistance] | None = None
 
     def camera_of(self, camera: Camera) -> Camera:
@@ -283,9 +281,6 @@ class Plan:
         table |= {"lens": self.samples.lens, "integrator": self.samples.integrator, "white_spectrum": self.light.white_name}
         if self.film.in_focus_m is not None:
             table["in_focus_m"] = finite_or_none(self.film.in_focus_m)
-        if self.film.defocus:  # infinity is no number of JSON
-            rows = [asdict(defocus) for defocus in self.film.defocus]
-            table["defocus"] = [{name: value if math.isfinite(value) else None for name, value in row.items()} for row in rows]
         return table | {"wavelength_nm": bands.wavelength_nm.tolist(), "band_width_nm": bands.width_nm.tolist()}
 
     def __repr__(self) -> str:
@@ -390,13 +385,14 @@ def _plan_of(
     diffraction = rules.decide_diffraction(
         chart, rendered, film_um, tolerance_e, full or tiling is not None, inspection.span.high_nm
     )
-    defocus: list[Defocus] = []
-    defocus_decisions: list[Decision] = []
-    if tiling is not None and focus.kept:
-        defocus, defocus_decisions = decide_defocus(state, bodies, rendered, thin_camera, inspection.aspect, physics)
 
     outside = outside_header(inspection.lamp_spectra, inspection.span)
-    warnings = [*real_lens_warnings(camera, tiling, defocus, tolerance_e), *inspection.warnings]
+    warnings = [*real_lens_warnings(camera, tiling, tolerance_e), *inspection.warnings]
+    decisions = [*spectral, tables, bounces, focus, samples, diffraction, *real_lens]
+    if tiling is not None and sharp != "perspective":
+        decision, note = out_of_focus()
+        decisions.append(decision)
+        warnings.append(note)
     left_out = max((outside_share(outside, pixel) for pixel in pixels), default=0.0)
     if left_out > SHOWN_SHARE:
         warnings.append(Note("light_left_out", words=outside_words(left_out, inspection.span), hint=outside_hint()))
@@ -421,11 +417,10 @@ def _plan_of(
             diffraction=diffraction.kept,
             tiling=tiling,
             ends=ends,
-            defocus=tuple(defocus),
             in_focus_m=depth_of_field_m(camera, physics.read_pitch_um) if physics else None,
         ),
         samples=SamplePlan(lens, integrator, sampler, spp, scene_spp, given_spp),
-        decisions=(*spectral, tables, bounces, focus, samples, diffraction, *real_lens, *defocus_decisions),
+        decisions=tuple(decisions),
         tolerance_e=tolerance_e,
         warnings=tuple(warnings),
         full=full,

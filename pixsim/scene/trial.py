@@ -74,12 +74,12 @@ def main(variant: str | None) -> None:
         scene = pixsim.load_scene(SCENE, variant=variant, resolution=RESOLUTION)
         illuminance_lx = pixsim.render(scene).illuminance_lx()
     except PixsimError as error:
-        print(json.dumps({"fault": str(error), "refused": True}))
+        sys.stdout.write(json.dumps({"fault": str(error), "refused": True}))
         return
     expected_lx = closed_form_lx(scene.camera(), RESOLUTION)
     facts = {"fault": picture_fault(illuminance_lx, expected_lx), "variant": scene.choice.variant, "llvm": scene.choice.llvm_path}
     facts |= {"mean_lx": float(illuminance_lx.mean()), "expected_lx": float(expected_lx.mean())}
-    print(json.dumps(facts | {"threads": int(import_module("drjit").thread_count())}))
+    sys.stdout.write(json.dumps(facts | {"threads": int(import_module("drjit").thread_count())}))
 
 
 def picture_fault(illuminance_lx: Array, expected_lx: Array) -> str | None:

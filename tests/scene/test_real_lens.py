@@ -23,12 +23,10 @@ from pixsim.optics.camera_lens import (
     traced_lens,
     without_lens,
 )
-from pixsim.optics.lens_defocus import defocus_error, depth_of_disc_m, largest_disc_um, signed_disc_um
 from pixsim.optics.lens_options import LensOptions
 from pixsim.optics.thin_lens import irradiance_factor
-from pixsim.scene.contents import Body
 from pixsim.scene.plan import make_render_plan
-from pixsim.scene.real_lens import SEEN_NM, depth_ranges_m, real_lens_warnings, tried_discs_um
+from pixsim.scene.real_lens import SEEN_NM, real_lens_warnings
 from pixsim.scene.scene import Scene
 from pixsim.sensor.exposure import Exposure
 from pixsim.sensor.integration import diffracted_rate, ideal_rate
@@ -135,9 +133,9 @@ def test_light_that_does_not_fit_a_film_cell_or_a_psf_is_told() -> None:
     assert f"up to {percent(plan.film.tiling.error, 1)} of the picture's contrast" in told
     assert "Take a finer film" in told
     cut = replace(plan.film.tiling, psf_um=445.0, error=0.1, cut_error=0.09, lacking=0.5)
-    (told,) = [note for note in real_lens_warnings(camera, cut, [], 1e-3) if "blur" in note]
+    (told,) = [note for note in real_lens_warnings(camera, cut, 1e-3) if "blur" in note]
     assert "up to 10.0 % of the picture's contrast, above 1.0 %: its PSFs of 445 µm lack up to 50.0 % of the light" in told
-    assert not [note for note in real_lens_warnings(camera, replace(cut, error=0.01), [], 1e-3) if "blur" in note]
+    assert not [note for note in real_lens_warnings(camera, replace(cut, error=0.01), 1e-3) if "blur" in note]
 
 
 def test_picture_has_the_traced_fall_off_and_the_glass_is_not_counted_twice() -> None:
@@ -302,70 +300,15 @@ def some_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("some_tiles")
-@pytest.mark.parametrize(("near_m", "far_m", "lens"), [(0.08, 0.2, "singlet"), (0.0995, 0.1007, "phone")])
-def test_plan_says_by_how_much_defocus_is_wrong_in_scenes_with_depth(
-    near_m: float, far_m: float, lens: str, tmp_path: Path
-) -> None:
-    scene = scene_of_depths(tmp_path, near_m, far_m)
-    camera = scene.camera(CameraOptions(die_mm=4.8), LensOptions(file=lens))
-    plan = make_render_plan(scene, camera, PIXEL)
-    (decision,) = [decision for decision in plan.decisions if decision.subject == "defocus of the lens"]
-    worst = plan.film.defocus[0]
-    assert decision.reason.startswith("out of focus, a thin lens's discs")
-    assert f"{percent(worst.error, 1)} of the contrast" in decision.reason
-    physics = derive(PIXEL)
-    weight = photons_per_joule(SEEN_NM) * physics.quantum_efficiency(SEEN_NM)
-    for found in plan.film.defocus:  # the depths of the scene, and the errors of traces there
-        assert near_m - 0.000201 < found.depth_m < far_m * (1 + 1e-6)
-        assert abs(signed_disc_um(camera, found.depth_m)) == pytest.approx(found.disc_um)
-        traced = defocus_error(camera, found.depth_m, tuple(SEEN_NM), tuple(weight), physics.aperture_side_um)
-        assert traced == pytest.approx(found.error, rel=1e-3)
-    depths = [found.depth_m for found in plan.film.defocus]
-    farthest = min(far_m, depth_of_disc_m(camera, largest_disc_um(camera, SEEN_NM[0])))
-    assert (min(depths), max(depths)) == pytest.approx((near_m - 0.0002, farthest), rel=1e-6)
-    assert plan.as_dict()["defocus"][0] == {"depth_m": worst.depth_m, "disc_um": worst.disc_um, "error": worst.error}
-    told = [note for note in plan.warnings if "out of focus" in note]
-    if lens == "singlet":
-        assert f"wrong by more than 1.0 %: {percent(worst.error, 1)} of the contrast at" in told[0]
-    else:
-        assert 1e-3 < worst.error < 0.01  # separable within ten times the tolerance of electrons
-        assert not told
-        (strict,) = [note for note in make_render_plan(scene, camera, PIXEL, tolerance_e=1e-4).warnings if "out of focus" in note]
-        assert f"wrong by more than 0.1 %: {percent(worst.error, 1)}" in strict
-
-
-@pytest.mark.slow  # test_depths_are_those_of_the_shapes_in_view has the unknown size
-@pytest.mark.usefixtures("some_tiles")
-def test_shapes_of_unknown_size_and_mirrors_are_told_with_the_defocus() -> None:
-    scene, camera = through("singlet", 6.0, 32, "still_life")
-    plan = make_render_plan(scene, camera, PIXEL)
-    assert any("gets a thin lens's disc and the blur that the real lens has in focus" in note for note in plan.warnings)
-    (decision,) = [decision for decision in plan.decisions if decision.subject == "defocus of the lens"]
-    assert "what surfaces mirror or refract lies at other depths, which are not looked at" in decision.reason
-
-
-def test_depths_are_those_of_the_shapes_in_view() -> None:
-    camera = Camera(object_distance_m=2.0)
-    corners = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 3.0]])
-    state = load_scene("flat").parse()
-    floor, unknown = Body(0, corners, None), Body(1, None, None)
-    behind, near = Body(2, -np.abs(corners) - 1, None), Body(3, corners / 40 + [0, 0, 0.2], None)
-    assert depth_ranges_m([floor, behind], camera, state) == ([(0.5, 3.0)], "")
-    ((low, high),), words = depth_ranges_m([near], camera, state)
-    assert (low, high, words) == (pytest.approx(0.175), pytest.approx(0.275), "")
-    ranges, words = depth_ranges_m([unknown], camera, state)
-    assert ranges == [(0.5, math.inf)]
-    assert words == "1 shape of unknown size taken as from 0.5 m to infinity"
-
-
-def test_discs_are_judged_once_an_octave_on_each_side() -> None:
-    camera = Camera(focal_length_mm=50.0, f_number=2.0)
-    assert tried_discs_um([(0.0, 0.3)], 1.0, camera) == []
-    assert tried_discs_um([(-9.0, 0.2)], 1.0, camera) == [-1.0, -2.0, -4.0, -9.0]
-    assert tried_discs_um([(3.0, 3.1), (3.2, 3.3)], 1.0, camera) == [3.3]
-    everywhere = tried_discs_um([(-math.inf, math.inf)], 1.0, camera)
-    assert max(everywhere) == -min(everywhere) == largest_disc_um(camera, SEEN_NM[0]) > 100
-    assert 2 * math.log2(max(everywhere)) + 1 < len(everywhere) < 2 * math.log2(max(everywhere)) + 4
+@pytest.mark.parametrize("full", [False, True])
+def test_plan_says_that_the_error_out_of_focus_is_not_known(full: bool, tmp_path: Path) -> None:
+    """Of a scene with depth, and not of a chart in focus."""
+    deep, chart = scene_of_depths(tmp_path, 0.08, 0.2), load_scene("csf", resolution=32)
+    for scene, is_deep in ((deep, True), (chart, False)):
+        camera = scene.camera(CameraOptions(die_mm=4.8), LensOptions(file="singlet"))
+        plan = make_render_plan(scene, camera, PIXEL, full=full)
+        assert ("defocus of the lens" in [decision.subject for decision in plan.decisions]) == is_deep
+        assert any("its error is not known" in note for note in plan.warnings) == is_deep
 
 
 @pytest.mark.slow  # test_integration has each colour by the PSF of its own light
