@@ -1,7 +1,7 @@
 """Trace scenes that are not pixsim's own in a child process: it can be killed where Mitsuba crashes or finds no end.
 
-One child serves all renders of a process and ends with it. Requests and replies are lines of JSON; pictures come through a file
-in memory. Nothing that the child sends is run or unpickled.
+One child serves all renders of a process and ends with it. Requests and replies are lines of JSON; the numbers of a picture follow
+its reply. Nothing that the child sends is run or unpickled.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import select
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable
@@ -40,24 +39,27 @@ READ_AT_ONCE = 1 << 16
 LOOK_S = 0.5  # between two looks at the child and the clock
 
 
+class _ReportedError(PixsimError):
+    """What the child says of a scene; it goes on."""
+
+
 class _Child:
-    """The process, with its pipes and the file of its pictures."""
+    """The process, with its pipes."""
 
     def __init__(self, on_card: bool) -> None:
         self.owner, self.on_card = os.getpid(), on_card
         self.process: subprocess.Popen[bytes] | None = None
         self.lock = threading.Lock()
         self.loaded: TraceJob | None = None
-        self.pictures = _memory_file()
         requests, self.requests = os.pipe()
         self.replies, replies = os.pipe()
         life, self.life = os.pipe()  # its other end closes when this process ends, however it does
-        given = self.pictures, requests, replies, life
+        descriptors = requests, replies, life
         # Python would look for modules in the current folder first, which may be a stranger's.
-        command = [sys.executable, "-P", "-m", "pixsim.scene.guard.worker", *map(str, given)]
+        command = [sys.executable, "-P", "-m", "pixsim.scene.guard.worker", *map(str, descriptors)]
         folder = str(Path(pixsim.__file__).parents[1])
-        given_path = os.environ.get("PYTHONPATH", "").split(os.pathsep)
-        path = os.pathsep.join(os.path.abspath(part) for part in (*given_path, folder) if part)
+        folders = (*os.environ.get("PYTHONPATH", "").split(os.pathsep), folder)
+        path = os.pathsep.join(os.path.abspath(part) for part in folders if part)
         null = subprocess.DEVNULL
         try:
             self.process = subprocess.Popen(
@@ -67,7 +69,7 @@ class _Child:
                 stdin=null,
                 stdout=null,
                 stderr=null,
-                pass_fds=given,
+                pass_fds=descriptors,
                 env=os.environ | safe_variables() | {"PYTHONPATH": path},
             )
         except OSError as error:
@@ -75,7 +77,7 @@ class _Child:
             hint = "Close other programs, or ask for fewer --jobs."
             raise PixsimError(f"a process for the scene cannot be started ({error.strerror}). {hint}") from None
         finally:
-            for descriptor in (requests, replies, life):
+            for descriptor in descriptors:
                 os.close(descriptor)
         self._read = b""
 
@@ -90,28 +92,36 @@ class _Child:
                 self.process.kill()
             with suppress(OSError, subprocess.SubprocessError):
                 self.process.wait(timeout=ENDED_S)
-        for name in ("requests", "replies", "life", "pictures"):
+        for name in ("requests", "replies", "life"):
             with suppress(OSError):
                 os.close(getattr(self, name))
             setattr(self, name, -1)
 
-    def ask(self, request: dict[str, Any], ends_at_s: float | None) -> dict[str, Any]:
-        """Send a request and return its reply. Raises PixsimError if the child reports an error, crashes or takes too long."""
+    def ask(self, request: dict[str, Any], ends_at_s: float | None, picture: tuple[int, int] | None = None) -> Any:
+        """Send a request and return its reply, or the numbers of the picture that follows it, (rows, columns, channels).
+
+        picture : rows and columns of the picture that is asked for
+
+        Raises PixsimError if the child reports an error, crashes or takes too long.
+        """
         try:
             self._send(json.dumps(request).encode() + b"\n", ends_at_s)
             reply = json.loads(self._line(ends_at_s))
-        except BaseException as error:  # also Ctrl-C and SIGTERM: the child may be within a kernel without an end
-            code = self._code() if isinstance(error, OSError | EOFError | ValueError | RecursionError) else None
+            if "error" in reply:
+                raise _ReportedError(str(reply["error"]))
+            return reply if picture is None else self._picture((*picture, int(reply["channels"])), ends_at_s)
+        except _ReportedError:
+            raise
+        except PixsimError:  # no time is left
             self.kill()
-            if isinstance(error, PixsimError) or not isinstance(error, OSError | EOFError | ValueError | RecursionError):
-                raise
+            raise
+        except (OSError, EOFError, ValueError, TypeError, KeyError, RecursionError):
+            code = self._code()
+            self.kill()
             raise _crashed(code, self.on_card) from None
-        if not isinstance(reply, dict):
+        except BaseException:  # also Ctrl-C and SIGTERM: the child may be within a kernel without an end
             self.kill()
-            raise _crashed(None, self.on_card)
-        if "error" in reply:
-            raise PixsimError(str(reply["error"]))
-        return reply
+            raise
 
     def _code(self) -> int | None:
         try:
@@ -138,6 +148,21 @@ class _Child:
         line, _, self._read = self._read.partition(b"\n")
         return line
 
+    def _picture(self, shape: tuple[int, int, int], ends_at_s: float | None) -> NDArray[np.float32]:
+        if not 1 <= shape[2] <= MAX_CHANNELS:
+            raise ValueError
+        values = np.empty(shape, np.float32)
+        left = values.data.cast("B")
+        count = min(len(self._read), len(left))
+        left[:count], self._read = self._read[:count], self._read[count:]
+        while count < len(left):
+            self._wait([self.replies], [], ends_at_s)
+            size = os.readv(self.replies, [left[count:]])
+            if size == 0:
+                raise EOFError
+            count += size
+        return values
+
     def _wait(self, reading: list[int], writing: list[int], ends_at_s: float | None) -> None:
         while not any(select.select(reading, writing, [], LOOK_S if ends_at_s is None else _until(ends_at_s))):
             if ends_at_s is not None and time.monotonic() > ends_at_s:
@@ -160,14 +185,6 @@ def _crashed(code: int | None, on_card: bool) -> PixsimError:
         return PixsimError(f"the graphics card or its driver ended Mitsuba's process{how}; it may lack memory for the scene.")
     hint = "Remove parts of the scene to find the one, or use less memory: a coarser film, smaller meshes and pictures."
     return invalid("scene", f"one that ends Mitsuba's process{how}", "a scene that Mitsuba can build and render", hint)
-
-
-def _memory_file() -> int:
-    """Open a file without a name, in memory where the system can."""
-    if hasattr(os, "memfd_create"):
-        return os.memfd_create("pixsim-pictures")
-    with tempfile.TemporaryFile() as file:
-        return os.dup(file.fileno())
 
 
 _child: _Child | None = None
@@ -203,7 +220,7 @@ class ChildTracer:
     def __init__(self, job: TraceJob, ends_at_s: Callable[[], float | None] = lambda: None) -> None:
         self.job, self.ends_at_s = job, ends_at_s
 
-    def _ask(self, request: dict[str, Any], picture: tuple[int, int] | None = None, most_channels: int = MAX_CHANNELS) -> Any:
+    def _ask(self, request: dict[str, Any], picture: tuple[int, int] | None = None) -> Any:
         with _starting:
             child = _usable_child(self.job.variant == CUDA)
         with child.lock:
@@ -213,22 +230,7 @@ class ChildTracer:
                 for file, highest in zip(self.job.files, reply["highest"], strict=True):
                     check_share(float(highest), file.share, f"'{Path(file.path).name}'")
                 child.loaded = self.job
-            reply = child.ask(request, self.ends_at_s())
-            if picture is None:
-                return reply
-            match reply.get("shape"):
-                case [int(rows), int(columns), int(channels)] if (rows, columns) == picture and 1 <= channels <= most_channels:
-                    shape = rows, columns, channels
-                case _:
-                    raise _crashed(None, child.on_card)
-            values = np.empty(shape, np.float32)
-            left, at = values.data.cast("B"), 0
-            while at < len(left):
-                count = os.preadv(child.pictures, [left[at:]], at)
-                if count == 0:  # the child has cut its file
-                    raise _crashed(None, child.on_card)
-                at += count
-            return values
+            return child.ask(request, self.ends_at_s(), picture)
 
     def sample_count(self, sampler: str, samples: int) -> int:
         return int(self._ask({"sampler": sampler, "samples": samples})["samples"])
@@ -240,11 +242,9 @@ class ChildTracer:
 
     def trace_together(self, scene: int, rows: tuple[int, int], sampler: str, spp: int, seed: int) -> NDArray[np.float32]:
         request = {"scene": scene, "rows": rows, "sampler": sampler, "spp": spp, "seed": seed}
-        passes = self.job.passes[scene]
-        assert passes is not None
-        result: NDArray[np.float32] = self._ask(request, (rows[1] - rows[0], self.job.size[1]), len(passes.pulses))
+        result: NDArray[np.float32] = self._ask(request, (rows[1] - rows[0], self.job.size[1]))
         return result
 
     def depths(self, side: int) -> NDArray[np.float32]:
-        result: NDArray[np.float32] = self._ask({"side": side}, (side, side), 1)
+        result: NDArray[np.float32] = self._ask({"side": side}, (side, side))
         return result

@@ -10,6 +10,7 @@ import warnings
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from pixsim.base.errors import PixsimError
@@ -22,25 +23,24 @@ LACKS_MEMORY = "the scene needs more memory than it may have; take smaller meshe
 JOBS = TypeAdapter(TraceJob)  # in JSON keys are texts and tuples are lists
 
 
-def answer(tracer: OwnTracer | None, request: dict[str, Any], pictures: int) -> tuple[OwnTracer, dict[str, Any]]:
-    """Return the tracer of the current job, and the reply to a request; a picture goes into a file."""
+Picture = NDArray[np.float32]
+
+
+def answer(tracer: OwnTracer | None, request: dict[str, Any]) -> tuple[OwnTracer, dict[str, Any], Picture | None]:
+    """Return the tracer of the current job, the reply to a request, and the picture that follows it."""
     if "job" in request:
         job = JOBS.validate_python(request["job"])
         import_mitsuba(job.variant)
         limit_memory(job)
         highest = check_files(job)
         tracer = OwnTracer(job)
-        return tracer, {"scenes": len(tracer.loaded), "highest": highest}
+        return tracer, {"scenes": len(tracer.loaded), "highest": highest}, None
     assert tracer is not None
     if "sampler" in request and "seed" not in request:
-        return tracer, {"samples": tracer.sample_count(**request)}
+        return tracer, {"samples": tracer.sample_count(**request)}, None
     trace = tracer.depths if "side" in request else tracer.trace if "film" in request else tracer.trace_together
     picture = np.ascontiguousarray(trace(**request))
-    os.ftruncate(pictures, picture.nbytes)
-    left, at = picture.data.cast("B"), 0
-    while at < len(left):
-        at += os.pwrite(pictures, left[at:], at)
-    return tracer, {"shape": list(picture.shape)}
+    return tracer, {"channels": picture.shape[2]}, picture
 
 
 def end_with_parent(life: int) -> None:
@@ -56,7 +56,7 @@ def end_with_parent(life: int) -> None:
         return
 
 
-def main(pictures: int, requests: int, replies: int, life: int) -> None:
+def main(requests: int, replies: int, life: int) -> None:
     """Answer requests until there are no more."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # they reach the parent too, which kills this process
         signal.signal(number, signal.SIG_IGN)
@@ -64,18 +64,22 @@ def main(pictures: int, requests: int, replies: int, life: int) -> None:
     end_with_parent(life)
     warnings.simplefilter("ignore")  # the parent has given them
     tracer: OwnTracer | None = None
-    with os.fdopen(requests, encoding="utf-8") as lines, os.fdopen(replies, "w", encoding="utf-8", buffering=1) as out:
+    with os.fdopen(requests, "rb") as lines, os.fdopen(replies, "wb") as out:
         for line in lines:
+            picture: Picture | None = None
             try:
-                tracer, reply = answer(tracer, json.loads(line), pictures)
+                tracer, reply, picture = answer(tracer, json.loads(line))
             except PixsimError as error:
                 reply = {"error": str(error).replace("std::bad_alloc", LACKS_MEMORY)}
             except MemoryError:
                 reply = {"error": LACKS_MEMORY}
             except Exception as error:  # as in `pixsim.cli.main`; without its words the parent could only report an exit code
                 reply = {"error": f"unexpected {type(error).__name__} in the process that renders: {error}"}
-            out.write(json.dumps(reply) + "\n")
+            out.write(json.dumps(reply).encode() + b"\n")
+            if picture is not None:
+                out.write(picture.data)
+            out.flush()
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:5]))
+    main(*map(int, sys.argv[1:4]))
