@@ -429,9 +429,11 @@ def _let_pillow_open_mosaics() -> None:
     """Have Pillow open mosaics of TIFF/EP and DNG as the grey pictures that they are."""
     from PIL.TiffImagePlugin import OPEN_INFO
 
-    of_grey = {key: modes for key, modes in OPEN_INFO.items() if key[1] == BLACK_IS_ZERO and key[4] == (16,)}
-    for (order, _, *layout), modes in of_grey.items():
-        OPEN_INFO |= {(order, photometric, *layout): modes for photometric in (MOSAIC, LINEAR_RAW)}
+    for key, modes in list(OPEN_INFO.items()):
+        order, photometric, sample_format, fill_order, bits, extra = key
+        if photometric == BLACK_IS_ZERO and bits == (16,):
+            for mosaic in (MOSAIC, LINEAR_RAW):
+                OPEN_INFO[order, mosaic, sample_format, fill_order, bits, extra] = modes
 
 
 def pages_text(path: Path) -> str:

@@ -147,20 +147,16 @@ def _codes(readout: Readout, white_e: float, integration_s: float, lightest: flo
     signal = codes_to_white(readout, white_e * luminance_of_lightness(lightest), integration_s)
     if codes >= FEWEST_CODES * (1 - ROUNDING) and (signal >= 1 or lightest < SEEN_LIGHTNESS):  # black has no contrast
         return None
-    hint = f"more bits ({setting('pixel.bits')}), light, time or gain ({setting('exposure.gain_db')}), or a smaller full well"
+    brighter = f"light, time or gain ({setting('exposure.gain_db')})"
+    hint = f"more bits ({setting('pixel.bits')}), {brighter}, a smaller full well, or less black level"
+    if codes >= FEWEST_CODES:
+        return Cause(f"the lightest dot is {signal:.2g} of a step of the ADC above black", lightest, hint)
+    words = f"only {codes:.2g} codes of the ADC between black and display white"
     if range_e <= 0:
         words = "dark charge leaves no code of the ADC for light"
         hint = f"a shorter exposure ({setting('exposure.max_integration_s')}), or a cooler sensor"
     elif white_e > range_e:
         words = f"only {codes:.2g} codes of the ADC between black and its end"
-        hint = f"more bits ({setting('pixel.bits')}), or less black level ({setting('pixel.black_level_dn')}) or dark charge"
-    elif codes >= FEWEST_CODES:
-        words = f"the lightest dot is {signal:.2g} of a step of the ADC above black"
-        return Cause(words, lightest, hint)
-    elif codes < 1:
-        words = f"display white is {codes:.2g} of a step of the ADC above black"
-    else:
-        words = f"only {codes:.2g} codes of the ADC between black and display white"
     # A step beside black; below one step, all codes may be equal.
     return Cause(words, float(lightness_of(np.array(1 / max(codes, 1.0)))), hint)
 

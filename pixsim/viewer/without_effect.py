@@ -111,7 +111,7 @@ def record_with(record: RecordKind, path: Sequence[str], value: object) -> Recor
     if inner and not (value is Default and fields[name].model_fields_set == {*inner}):
         value = record_with(fields[name], inner, value)
     fields[name] = value
-    return type(record)(**{other: kept for other, kept in fields.items() if kept is not Default})
+    return type(record)(**{other: stated for other, stated in fields.items() if stated is not Default})
 
 
 def imaging_with(imaging: Imaging, name: str, value: object) -> Imaging:
@@ -473,7 +473,7 @@ class GivenSettings:
 
     @classmethod
     def of_records(cls, imaging: Imaging, light: SpectralImage) -> GivenSettings:
-        """Return those of a call with records, in light that is given."""
+        """Return those of a call with records, in light that is case."""
         tables: dict[str, Record] = {table: getattr(imaging, table) for table in TABLES if table != "lens"}
         tables |= {"lens": imaging.camera.lens_options, "metric": imaging.metrics.options}
         return cls.of(imaging, tables, CommandFacts(picture=light))
@@ -541,36 +541,36 @@ class Row(NamedTuple):
     acts: Callable[[GivenSettings, str], bool | None]
 
 
-def _moves(given: GivenSettings, name: str) -> bool:
+def _moves(case: GivenSettings, name: str) -> bool:
     """Of motion, which also decides which part of a frame is scored, however far the picture moves."""
-    motion = given.imaging.motion
+    motion = case.imaging.motion
     return any(motion.velocity_mm_per_s or ()) if name == "motion.distance_m" else motion.is_on
 
 
-def _is_of_lens(given: GivenSettings, name: str) -> bool | None:
+def _is_of_lens(case: GivenSettings, name: str) -> bool | None:
     """Of the camera and the lens: what a real lens decides stands in its file."""
     table, field_name, *_ = name.split(".")
-    is_of_file = given.imaging.camera.lens is not None if table == "camera" else field_name not in OF_ANY_LENS
+    is_of_file = case.imaging.camera.lens is not None if table == "camera" else field_name not in OF_ANY_LENS
     return is_of_file or None
 
 
-def _costs(given: GivenSettings, name: str) -> bool:
+def _costs(case: GivenSettings, name: str) -> bool:
     """Of what a render may cost."""
-    settings = given.command.settings
+    settings = case.command.settings
     replaced = name == "render_noise" and settings is not None and settings.tolerance_delta_e is not None
-    return given.command.picture is None and not replaced
+    return case.command.picture is None and not replaced
 
 
-def _is_of_render(given: GivenSettings, name: str) -> bool | None:
+def _is_of_render(case: GivenSettings, name: str) -> bool | None:
     """Of what a render depends on: field, focus, brightness and fall-off."""
-    has_fall_off = name != "camera.chief_ray_angle" or given.imaging.camera.relative_illumination is not None
-    return (given.command.is_rendered and has_fall_off) or None
+    has_fall_off = name != "camera.chief_ray_angle" or case.imaging.camera.relative_illumination is not None
+    return (case.command.is_rendered and has_fall_off) or None
 
 
 CAMERA_OF_RENDER = "focal_length_mm", "f_number", "die_mm", "die_height_mm", "object_distance_m", "transmittance", "chief_ray_angle"
 ROWS = (
     # The small light is that of a run: other commands have no such frame, or do not take all settings.
-    Row((), lambda given, name: given.command.takes(name)),
+    Row((), lambda case, name: case.command.takes(name)),
     # It stands behind a thin lens, that of the user's settings.
     Row(("camera", "lens"), _is_of_lens),
     # It is not rendered.
@@ -579,17 +579,17 @@ ROWS = (
     # It has one target, which no parameter states.
     Row(
         ("metric.detectability.without",),
-        lambda given, _: has_target(given.imaging.metrics.names) and given.command.settings is not None,
+        lambda case, _: has_target(case.imaging.metrics.names) and case.command.settings is not None,
     ),
-    Row((SOLVE_FOR,), lambda given, _: DETECTABILITY.name in given.imaging.metrics.names),
+    Row((SOLVE_FOR,), lambda case, _: DETECTABILITY.name in case.imaging.metrics.names),
     # It is bright enough for a time below the longest one, and has no room for what moves.
-    Row(("exposure.max_integration_s",), lambda given, _: given.imaging.exposure.integration_s is None or None),
+    Row(("exposure.max_integration_s",), lambda case, _: case.imaging.exposure.integration_s is None or None),
     Row(("motion",), _moves),
     # It has few dots, always as many, and few pixels, perhaps none of them hot.
-    Row(("display.diffuser_reflectance",), lambda given, _: given.imaging.display.white == "diffuser"),
-    Row(tuple(f"display.{name}" for name in NO_WHITE), lambda given, _: True),  # it has a white of its own
-    Row(("display.dots",), lambda given, _: given.imaging.display.raster == "fixed_size"),
-    Row(("correction.defects",), lambda given, _: True),
+    Row(("display.diffuser_reflectance",), lambda case, _: case.imaging.display.white == "diffuser"),
+    Row(tuple(f"display.{name}" for name in NO_WHITE), lambda case, _: True),  # it has a white of its own
+    Row(("display.dots",), lambda case, _: case.imaging.display.raster == "fixed_size"),
+    Row(("correction.defects",), lambda case, _: True),
 )
 
 
@@ -604,10 +604,10 @@ def effect_notes(sensors: Mapping[str, Iterable[GivenSettings]]) -> list[Note]:
     labels_of: dict[str, list[str]] = {}
     for label, cases in sensors.items():
         names: list[str] | None = None
-        for given in cases:
+        for case in cases:
             if names is not None:
-                given = replace(given, names=tuple(name for name in names if name in given.names))
-            names = given.without_effect()
+                case = replace(case, names=tuple(name for name in names if name in case.names))
+            names = case.without_effect()
             if not names:
                 break
         for name in names or ():

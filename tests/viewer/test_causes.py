@@ -230,9 +230,9 @@ EMPTY: dict[str, tuple[dict[str, float], dict[str, float], str]] = {
     "dark charge": ({"dark_current_e_per_s": 1e9}, {"integration_s": 0.01}, "dark charge leaves no code"),
     "gain": ({}, {"integration_s": 0.01, "gain_db": 60.0}, "100 % of the pixels are saturated"),
     "light": ({}, {"integration_s": 10.0}, "100 % of the pixels are saturated"),
-    "one bit": ({"bits": 1}, {"integration_s": 1e-4}, "display white is .* of a step"),
-    "short time": ({}, {"integration_s": 5.7e-14}, "display white is .* of a step"),
-    "dark charge that ends the exposure": ({"dark_current_e_per_s": 1.7e17}, {}, "display white is .* of a step"),
+    "one bit": ({"bits": 1}, {"integration_s": 1e-4}, "only .* codes of the ADC between black and"),
+    "short time": ({}, {"integration_s": 5.7e-14}, "only .* codes of the ADC between black and"),
+    "dark charge that ends the exposure": ({"dark_current_e_per_s": 1.7e17}, {}, "only .* codes of the ADC between black and"),
 }
 
 
@@ -301,7 +301,7 @@ def test_light_that_noise_hides_is_named_where_the_codes_would_do() -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"full_well_e": 1e9, "bits": 12}, "of a step of the ADC above black"),
+        ({"full_well_e": 1e9, "bits": 12}, "codes of the ADC between black and display white"),
         ({"bits": 2, "black_level_dn": 0}, "only 3 codes of the ADC between black and its end"),
         ({"bits": 10, "black_level_dn": 1020}, "only 3 codes of the ADC between black and its end"),
         ({"full_well_e": 2e7, "bits": 9}, "codes of the ADC between black and display white"),
@@ -387,7 +387,7 @@ def test_run_names_the_cause_in_its_headline() -> None:
         line, second, *_ = text(run_document(result)).splitlines()
         score = result.as_dict()
     first = score["causes"][0]
-    assert first["words"].endswith("of a step of the ADC above black")
+    assert "codes of the ADC between black and" in first["words"]
     assert line.startswith(f"mean ΔE {estimate(score['mean_delta_e'])} ({first['words']})")
     assert second.strip() == score["notes"][0]["text"] == f"{first['words']}: {first['hint']}"
     assert "--pixel.bits" in first["hint"]
