@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pixsim.base.arrays import Array
-from pixsim.base.digits import interval, with_error
+from pixsim.base.digits import interval, pixel_size, with_error
 from pixsim.base.tables import Column, table_csv
 from pixsim.report.regret import regrets_data
 from pixsim.report.score import shown_mean
@@ -59,7 +59,7 @@ def _optimum_parts(curve: Curve) -> list[Text]:
         return [(Strong(alike),), f"least at {size}{end} {limits}, {value}"]
 
     if end:
-        tried = f"no optimum between {curve.pitch_um[0]:.2f} and {curve.pitch_um[-1]:.2f} µm"
+        tried = f"no optimum between {pixel_size(curve.pitch_um[0])} and {pixel_size(curve.pitch_um[-1])}"
         return [tried, f"the best is {size}{end} {limits}, {value}"]
 
     optimum = "optimal pixel size ", Strong(size), f" {limits}"

@@ -461,7 +461,8 @@ def draw_maps(
     if contours and least < most and min(contours[0].shape) > 1:
         levels = np.geomspace(least, most, CONTOURS + 2) if least > 0 else np.linspace(least, most, CONTOURS + 2)
         for axes, heights in zip(axes_of_panels, contours, strict=True):
-            axes.contour(across.places, up.places, heights, levels[1:-1], colors="white", linewidths=0.6, alpha=0.7)
+            lines = axes.contour(across.places, up.places, heights, levels[1:-1], colors="white", linewidths=0.6, alpha=0.7)
+            axes.clabel(lines, fmt="%.2g", fontsize=CELL_PT)
     return figure, axes_of_panels
 
 

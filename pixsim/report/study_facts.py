@@ -17,7 +17,7 @@ from pixsim.studies.result import StudyResult
 from pixsim.viewer.dark_clip import clip_note, clips_dark
 from pixsim.viewer.raw_metrics import INFORMATION
 
-MAX_REGRET_TABLES = 8  # before an answer has too many lines; summary.json has all
+MAX_REGRET_TABLES = 3  # before an answer has too many lines; summary.json has all
 
 
 def study_unconverged(result: StudyResult) -> list[Note]:

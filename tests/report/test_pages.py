@@ -279,7 +279,7 @@ def test_study_minimum_at_end_is_not_best(studied: tuple[StudyResult, Path]) -> 
     at_end = replace(curve, fit=replace(curve.fit, optimum=replace(best, inside=False, pitch_um=15.0)))
     sheet = replace(at_end, technology="none", feature_size_um=None)
     assert sheet.as_dict()["optimum_features"] is None
-    found = "no optimum between 5.30 and 15.00 µm; the best is 15.00 µm, the end of the range"
+    found = "no optimum between 5.3 µm and 15 µm; the best is 15.00 µm, the end of the range"
     page = " ".join("".join(Elements(render.html(study_document(replace(studied[0], curves=(at_end,))))).words).split())
     for label, text in (("0.35um", page), ("data sheet", optimum_line(replace(studied[0], curves=(sheet,)).curves[0]))):
         assert f"{label}: {found}" in text
