@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 Class = TypeVar("Class", bound=type)
-WRONG_CALLS = ("missing_argument", "missing_keyword_only_argument", "unexpected_keyword_argument", "unexpected_positional_argument",
-               "multiple_argument_values", "positional_only_argument")  # fmt: skip
 OURS = "allowed"  # the kind of error of the validators below
 
 
@@ -60,16 +58,14 @@ def checked_methods(kind: Class) -> Class:
     """Check the arguments of the public methods of a class that users have in hand, and of a constructor that it defines itself."""
     for name, value in list(vars(kind).items()):
         function = value.__func__ if isinstance(value, classmethod) else value
-        if not inspect.isfunction(function) or (name.startswith("_") and name != "__init__") or not _takes_arguments(function):
+        if not inspect.isfunction(function) or (name.startswith("_") and name != "__init__"):
+            continue
+        if len(inspect.signature(function).parameters) == 1:  # self
             continue
         method = checked(function, f"{kind.__module__}.{kind.__qualname__}.{name}")
         method.__module__, method.__qualname__ = function.__module__, function.__qualname__
         setattr(kind, name, classmethod(method) if isinstance(value, classmethod) else method)
     return kind
-
-
-def _takes_arguments(function: Callable[..., Any]) -> bool:
-    return len(inspect.signature(function).parameters) > 1
 
 
 @cache
@@ -125,6 +121,7 @@ def _type(hint: Any, bounds: Bounds | None = None, axes: int | None = None) -> A
     """
     import numpy as np
     from numpy.typing import ArrayLike
+    from pydantic import BeforeValidator, InstanceOf, Strict
 
     hint = _without_alias(hint) if hint is not ArrayLike else hint
     origin, inner = get_origin(hint), get_args(hint)
@@ -139,21 +136,17 @@ def _type(hint: Any, bounds: Bounds | None = None, axes: int | None = None) -> A
         return _union(inner, bounds)
     if hint in (float, int):
         return _validated(_number_of(hint, bounds or FINITE))
-    if hint is bool:
-        return _validated(_bool)
-    if hint is os.PathLike or origin is os.PathLike:
-        return _validated(_path)
-    if hint is Callable or origin in (Callable, get_origin(Callable[[], None])):
-        return _validated(_callable)
-    if origin is tuple:
-        return Annotated[tuple[tuple(part if part is Ellipsis else _type(part, bounds) for part in inner)], _lax()]  # type: ignore[misc]
-    if origin in (get_origin(Sequence[int]), get_origin(Iterable[int])):
-        return Annotated[list[_type(inner[0], bounds)], _listed(), _lax()]  # type: ignore[misc]
-    if origin in (dict, get_origin(Mapping[str, int])):
-        return Annotated[dict[str, _type(inner[1], bounds)], _lax()]  # type: ignore[misc]
-    if inspect.isclass(hint) and hint not in (str, object, Any):
-        from pydantic import InstanceOf
+    if (origin or hint) in PLAIN:
+        return _validated(PLAIN[origin or hint])
 
+    lax = Strict(False)  # a list may stand for a tuple
+    if origin is tuple:
+        return Annotated[tuple[tuple(part if part is Ellipsis else _type(part, bounds) for part in inner)], lax]  # type: ignore[misc]
+    if origin in (Sequence, Iterable):
+        return Annotated[list[_type(inner[0], bounds)], BeforeValidator(_list), lax]  # type: ignore[misc]
+    if origin in (dict, Mapping):
+        return Annotated[dict[str, _type(inner[1], bounds)], lax]  # type: ignore[misc]
+    if inspect.isclass(hint) and hint not in (str, object, Any):
         return InstanceOf[hint]  # type: ignore[misc]
     return hint
 
@@ -182,18 +175,6 @@ def _validated(function: Callable[[Any], Any]) -> Any:
     from pydantic import PlainValidator
 
     return Annotated[Any, PlainValidator(function)]
-
-
-def _lax() -> Any:
-    from pydantic import Strict
-
-    return Strict(False)  # a list may stand for a tuple
-
-
-def _listed() -> Any:
-    from pydantic import BeforeValidator
-
-    return BeforeValidator(_list)
 
 
 def _refusal(got: object, allowed: str) -> Exception:
@@ -291,6 +272,9 @@ def _callable(value: Any) -> Any:
     return value
 
 
+PLAIN: dict[Any, Callable[[Any], Any]] = {bool: _bool, os.PathLike: _path, Callable: _callable}
+
+
 def _list(value: Any) -> Any:
     is_single = isinstance(value, str | bytes | Mapping) or getattr(value, "ndim", None) == 0
     if not isinstance(value, Iterable) or is_single:
@@ -317,14 +301,13 @@ def _first_problem(
     function: Callable[..., Any], error: ValidationError, args: Sequence[Any], kwargs: Mapping[str, Any]
 ) -> Exception:
     """Return the PixsimError of the first argument at fault; the TypeError of Python for a call that has not its arguments."""
-    problems = error.errors(include_url=False)
     signature = inspect.signature(function)
-    if any(problem["type"] in WRONG_CALLS for problem in problems):
-        try:
-            signature.bind(*args, **kwargs)
-        except TypeError as wrong:
-            return TypeError(f"{function.__name__}() {wrong}")
+    try:
+        signature.bind(*args, **kwargs)
+    except TypeError as wrong:
+        return TypeError(f"{function.__name__}() {wrong}")
 
+    problems = error.errors(include_url=False)
     first = problems[0]["loc"][0]
     name = [*signature.parameters][first] if isinstance(first, int) else str(first)
     value = args[first] if isinstance(first, int) else kwargs[name]
@@ -339,12 +322,8 @@ def _first_problem(
 
 def _place(problem: ErrorDetails) -> str:
     """Return where in an argument a problem is: the indices and keys of its parts, without pydantic's names of kinds."""
-    parts = [part for part in problem["loc"][1:] if isinstance(part, int) or part in _keys(problem)]
+    parts = (part for part in problem["loc"][1:] if isinstance(part, int) or not KIND.fullmatch(part))
     return "".join(f"[{part!r}]" for part in parts)
-
-
-def _keys(problem: ErrorDetails) -> set[str]:
-    return {part for part in problem["loc"][1:] if isinstance(part, str) and not KIND.fullmatch(part)}
 
 
 def _problem(name: str, value: object, problems: Sequence[ErrorDetails], *, optional: bool = False) -> PixsimError:
