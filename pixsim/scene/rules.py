@@ -19,6 +19,7 @@ from pixsim.base import cache
 from pixsim.base.arrays import Array, in_threads, strips
 from pixsim.base.digits import percent
 from pixsim.base.mapped import release, zeros
+from pixsim.base.records import content_hash
 from pixsim.light.spectral import HIGH_NM, WHOLE, Spectrum, regular_values
 from pixsim.optics.camera import Camera
 from pixsim.optics.diffraction import diffract
@@ -38,7 +39,6 @@ TRIED_SIDE = 512  # samples of a part of the film, where a chart that diffractio
 BORDER = 64  # samples of a part that reflection at its sides may change
 RESOLVED = 0.999  # of the variance of a chart, in the frequencies that a film has to resolve
 SPECTRUM_LINES = 128  # of a texture, whose spectrum is computed
-REMEMBERED = 64  # results of each function of charts
 DARKEST = 0.01  # of the brightest cell; errors of darker cells are relative to this
 
 
@@ -110,32 +110,22 @@ class Chart:
         return float(np.ptp(self.texels)) == 0.0
 
 
-Result = TypeVar("Result")
+Result = TypeVar("Result", float, tuple[int, float])
 
 
 def by_content(function: Callable[..., Result]) -> Callable[..., Result]:
-    """Remember the results of a function of a chart by the chart's content, in the cache too: many renders show the same charts.
-
-    The results are numbers, or tuples of them.
-    """
-    results: dict[tuple[object, ...], Result] = {}
+    """Keep the results of a function of a chart and numbers in the cache, by the content of the chart."""
 
     @wraps(function)
-    def call(chart: Chart, *arguments: object) -> Result:
-        key = chart.digest, *(each.tobytes() if isinstance(each, np.ndarray) else each for each in arguments)
-        if key not in results:
-            if len(results) >= REMEMBERED:
-                results.clear()
-            name = hashlib.blake2b(repr((function.__name__, key, cache.version_fingerprint())).encode(), digest_size=16).hexdigest()
-            found = cache.load_or_compute(
-                "charts",
-                name,
-                lambda known: known["result"],
-                lambda: function(chart, *arguments),
-                lambda result: {"result": result},
-            )
-            results[key] = tuple(found) if isinstance(found, list) else found  # type: ignore[assignment]
-        return results[key]
+    def call(chart: Chart, *numbers: float) -> Result:
+        key = content_hash([cache.version_fingerprint(), function.__name__, repr(chart.digest), numbers])
+        return cache.load_or_compute(
+            "charts",
+            key,
+            lambda entry: tuple(entry["result"]) if isinstance(entry["result"], list) else entry["result"],
+            lambda: function(chart, *numbers),
+            lambda result: {"result": result},
+        )
 
     return call
 
@@ -229,9 +219,7 @@ def _bilinear(chart: Chart, corner: list[Array], v: Array, u: Array) -> Array:
 
 
 @by_content
-def diffraction_effect(
-    chart: Chart, pitch_um: float, wavelength_nm: Array, weight: Array, f_number: float, enough: float = np.inf
-) -> float:
+def diffraction_effect(chart: Chart, pitch_um: float, wavelength_nm: float, f_number: float, enough: float = math.inf) -> float:
     """Return the largest relative change of any sample by diffraction, at the full resolution of the film.
 
     On a film larger than `TRIED_SIDE` a part around the chart's steepest texels is tested first. If its change exceeds
@@ -242,11 +230,11 @@ def diffraction_effect(
 
     def change(part: tuple[slice, slice], border: int) -> float:
         picture = chart.picture(part)
-        blurred = diffract(picture, pitch_um, wavelength_nm, weight, f_number)
+        blurred = diffract(picture, pitch_um, np.array([wavelength_nm]), np.ones(1), f_number)
         inner = tuple(slice(border, -border) if n > 2 * border > 0 else WHOLE for n in picture.shape)
         return float((np.abs(blurred - picture) / np.maximum(picture, DARKEST * picture.max()))[inner].max())
 
-    if max(chart.shape) > TRIED_SIDE and enough < np.inf and (effect := change(_steepest(chart), BORDER)) > enough:
+    if max(chart.shape) > TRIED_SIDE and enough < math.inf and (effect := change(_steepest(chart), BORDER)) > enough:
         return effect
     return change((WHOLE, WHOLE), 0)
 
@@ -441,38 +429,29 @@ def decide_samples(
     most : samples in the scene
     finer : film cells for each cell of the scene's own film
     """
-    subject, sampler = "texture samples", "multijitter"
     if full or explicit:
-        reason = f"{most} per film cell, as set in the {'scene' if full else 'options'}"
-        if not full and chart is None and most < MIN_OF_A_PATH:
-            sampler, reason = "independent", f"{reason}; of so few, multijitter would be biased"
-        return most, sampler, Decision(subject, True, reason)
-    shared = f", shared by the {finer:.3g} cells of this finer film" if finer > 1 else ""
-    if chart is None:
-        # Passes have different seeds, and the sum over bands averages their noise.
+        spp = most
+        reason = f"as set in the {'scene' if full else 'options'}"
+    elif chart is None:
+        # Passes have different seeds, and the sum over bands averages their noise. More are added where the noise asks for them.
         fewest = MIN_OF_A_PATH if finer <= 1 else FEWEST_OF_A_PATH
-        if most < fewest:
-            reason = f"{fewest} per film cell, not {most} as in the scene: with so few, multijitter is biased"
-            return fewest, sampler, Decision(subject, True, reason)
-        wanted = max(most / passes, fewest) if finer <= 1 else fewest  # more are added where the noise asks for them
-        share = min(next((count for count in SAMPLE_COUNTS if count >= wanted), most), most) if wanted < most else most
-        reason = f"{most} per film cell, as set in the scene{shared}: its edges and depth are unknown before rendering"
-        if share < MIN_OF_A_PATH:
-            sampler, reason = "independent", f"{reason}; of so few, multijitter would be biased"
-        if share == most:
-            return most, sampler, Decision(subject, True, reason)
-        reason += f"; {share} in each of {passes} passes" if passes > 1 else f"; {share}"
-        return share, sampler, Decision(subject, False, reason, f"{share} of {most} samples per pass")
-    if finer > 1:
-        spp = next(count for count in (FEWEST_OF_A_CHART, *SAMPLE_COUNTS, most) if count >= min(most / finer / ROUNDED_DOWN, most))
-        reason = f"{spp} per film cell: {most} as set in the scene{shared}"
-        return spp, sampler, Decision(subject, spp == most, reason, f"{spp} of {most} samples" if spp < most else "")
-    spp, error = samples_needed(chart, tolerance_e, most)
-    if spp < most:
-        reason = f"{spp} per film cell: RMS error {error:.1e} for the chart's detail"
-        return spp, sampler, Decision(subject, False, reason, f"{spp} of {most} samples")
-    reason = f"{most} per film cell, as set in the scene: RMS error {error:.1e} for the chart's detail"
-    return most, sampler, Decision(subject, True, reason)
+        wanted = max(most / passes, fewest) if finer <= 1 else fewest
+        spp = min(next((count for count in SAMPLE_COUNTS if count >= wanted), most), most) if wanted < most else max(most, fewest)
+        reason = "the scene's edges and depth are unknown before rendering"
+    elif finer > 1:
+        wanted = min(most / finer / ROUNDED_DOWN, most)
+        spp = next(count for count in (FEWEST_OF_A_CHART, *SAMPLE_COUNTS, most) if count >= wanted)
+        reason = f"those of the scene are shared by the {finer:.3g} cells of this finer film"
+    else:
+        spp, error = samples_needed(chart, tolerance_e, most)
+        reason = f"RMS error {error:.1e} for the chart's detail"
+
+    sampler = "multijitter"
+    if chart is None and not full and spp < MIN_OF_A_PATH and spp <= most:
+        sampler = "independent"
+        reason += "; of so few, multijitter would be biased"
+    saved = f"{spp} of {most} samples per pass" if spp < most else ""
+    return spp, sampler, Decision("texture samples", spp >= most, f"{spp} per film cell and pass: {reason}", saved)
 
 
 def decide_diffraction(
@@ -484,7 +463,7 @@ def decide_diffraction(
     if chart is None or full:
         return Decision("diffraction", True, f"{reason}; its effect is unknown before rendering" if not full else reason)
     allowed = tolerance_e * DIFFRACTION_SHARE
-    effect = diffraction_effect(chart, pitch_um, np.array([longest_nm]), np.ones(1), camera.effective_f_number, allowed)
+    effect = diffraction_effect(chart, pitch_um, longest_nm, camera.effective_f_number, allowed)
     if effect > allowed:
         return Decision("diffraction", True, f"{reason}; changes a sample of this chart by {percent(effect, 1)}")
     reason += f"; changes no sample of this chart by more than {effect:.1e}"

@@ -526,7 +526,7 @@ def test_samples_needed_grow_with_lower_tolerance():
 
 # --- Diffraction ---
 
-NM = np.array([550.0])
+NM = 550.0
 
 
 @pytest.mark.parametrize("contrast", [0.01, 0.5])
@@ -541,7 +541,7 @@ def test_diffraction_effect_sinusoid_matches_otf(half_periods, contrast):
     frequency = half_periods / (2 * n * pitch_um * 1e-3)
     x = np.arccos(frequency * 550e-6 * f_number)
     otf = (2 * x - np.sin(2 * x)) / np.pi
-    result = rules.diffraction_effect(chart_of(np.tile(1 + wave, (n, 1)), n), pitch_um, NM, np.ones(1), f_number)
+    result = rules.diffraction_effect(chart_of(np.tile(1 + wave, (n, 1)), n), pitch_um, NM, f_number)
     shown = wave * (3 + np.cos(np.pi * half_periods / n)) / 4
     assert result == pytest.approx((np.abs(shown) / (1 + shown)).max() * (1 - otf), rel=1e-5)
     if contrast == 0.01:
@@ -550,15 +550,15 @@ def test_diffraction_effect_sinusoid_matches_otf(half_periods, contrast):
 
 def test_diffraction_effect_flat_field_is_zero():
     for texels in (np.ones((64, 64)), np.ones((1, 1))):
-        assert rules.diffraction_effect(rules.Chart(texels, (1.0, 1.0), (64, 64)), 1.0, NM, np.ones(1), 8.0) == 0.0
+        assert rules.diffraction_effect(rules.Chart(texels, (1.0, 1.0), (64, 64)), 1.0, NM, 8.0) == 0.0
 
 
 def test_diffraction_effect_large_film_keeps_detail():
     """Stripes two samples wide on a film of 1024; a film of a quarter would be grey."""
     stripes = np.tile(np.arange(1024) // 2 % 2 + 1.0, (4, 1))
     chart = rules.Chart(stripes, (4 / 1024, 1.0), (1024, 1024))
-    wide = rules.diffraction_effect(chart, 2.65, NM, np.ones(1), 4.0)
-    narrow = rules.diffraction_effect(rules.Chart(stripes[:, :256], (4 / 256, 1.0), (256, 256)), 2.65, NM, np.ones(1), 4.0)
+    wide = rules.diffraction_effect(chart, 2.65, NM, 4.0)
+    narrow = rules.diffraction_effect(rules.Chart(stripes[:, :256], (4 / 256, 1.0), (256, 256)), 2.65, NM, 4.0)
     assert wide > 0.05
     assert wide == pytest.approx(narrow, rel=1e-4)  # the OTF comes from a table
 
@@ -585,7 +585,7 @@ def test_diffraction_effect_large_film_uses_steepest_part(monkeypatch):
     texels = np.full((64, 512), 0.5)
     texels[40:60, 448:496] += 0.2 * np.sin(np.arange(48) * 0.8)
     chart = rules.Chart(texels, (0.5, 0.5), (128, 1024))
-    lens = 1.0, NM, np.ones(1), 4.0
+    lens = 1.0, NM, 4.0
     whole = rules.diffraction_effect(chart, *lens)
     shapes = []
     real = rules.diffract
