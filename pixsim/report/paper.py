@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import scipy  # whose parts are imported when they are used
 
@@ -11,7 +9,7 @@ from pixsim.base.arrays import Array
 from pixsim.report.panels import MARKED_LINE, Line, LinePanel, draw_panels
 from pixsim.report.pictures import picture_axes
 from pixsim.show.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, label_axes, new_figure
-from pixsim.show.pages import Drawing, Plate, figure
+from pixsim.show.pages import Drawing, figure
 from pixsim.studies.claims import (
     FIGURE_2B_PITCHES_UM,
     FIGURE_6_PITCHES_UM,
@@ -25,11 +23,6 @@ from pixsim.studies.result import StudyResult
 
 PAPER_PLATES = ("figure_2a_dr_snr", "figure_2b_mtf", "figure_6_iso_delta_e")
 SIX_UM_NYQUIST_CY_PER_MM = 1e3 / (2 * 6.0)
-
-
-def numbered(plate: Plate, number: int, name: str) -> Plate:
-    """Return a figure under another name, with its number in the paper."""
-    return replace(plate, name=name, caption=f"Figure {number}: {plate.caption[0].lower()}{plate.caption[1:]}")
 
 
 @figure(

@@ -6,7 +6,6 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, replace
-from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec
 
@@ -25,7 +24,7 @@ from pixsim.report.curve import (
 )
 from pixsim.report.neq import NEQ, neq_against_frequency
 from pixsim.report.noise_budget import NAME, budgets_section
-from pixsim.report.paper import PAPER_PLATES, SCENE_FIGURES, figure_6, numbered
+from pixsim.report.paper import PAPER_PLATES, SCENE_FIGURES, figure_6
 from pixsim.report.pictures import size_words
 from pixsim.report.regret import REGRETS, metrics_against_pitch, regrets_plate
 from pixsim.report.settings import UNSTATED, record_rows, scene_rows, settings_blocks, settings_table, settings_tables
@@ -169,10 +168,6 @@ def light_against_detail(result: StudyResult, curve: Curve) -> Drawing:
     return figure, {"pitch_um": curve.pitch_um, **exposures, **contrasts}
 
 
-# In the paper, of curves that any study has.
-FIGURE_NUMBERS = {"delta_e_against_pitch": 7, "delta_e_against_pitch_all": 8, "optimum_against_technology": 9}
-
-
 class PictureTask(NamedTuple):
     """What a worker makes: the maps of a pixel size of the paper's, or the pictures of all sizes.
 
@@ -273,19 +268,7 @@ def curve_figures(result: StudyResult, first: Curve) -> list[Callable[[], Plate]
         draw.append(lambda: neq_against_frequency(quanta))
     if len({curve.feature_size_um for curve in result.curves} - {None}) > 1:
         draw.append(lambda: optimum_against_technology(result))
-    return [partial(_with_number, make) for make in draw] if result.study.paper else draw
-
-
-def _with_number(draw: Callable[[], Plate]) -> Plate:
-    """Return a figure with its number in the paper, if it has one."""
-    plate = draw()
-    number = FIGURE_NUMBERS.get(plate.name)
-    return numbered(plate, number, curve_file(plate.name, True)) if number else plate
-
-
-def curve_file(name: str, paper: bool) -> str:
-    """Return the name of a figure of curves as a file's, with its number in the paper if the study compares with that."""
-    return f"figure_{FIGURE_NUMBERS[name]}_{name}" if paper else name
+    return draw
 
 
 def with_files_of_study(page: Document, result: StudyResult) -> Document:
@@ -299,8 +282,8 @@ def with_files_of_study(page: Document, result: StudyResult) -> Document:
 def report_files(study: Study) -> set[str]:
     """Return the names of all files that the report of a study may have."""
     labels = [file_label(label) for label in labels_of(study.technologies)]
-    curves = (curve_file(name, study.paper) for name in FIGURE_NUMBERS)
-    plates = {*curves, REGRETS, "metrics", NEQ, "light_against_detail"}
+    plates = {"delta_e_against_pitch", "delta_e_against_pitch_all", "optimum_against_technology", "light_against_detail"}
+    plates |= {REGRETS, "metrics", NEQ}
     plates |= set(PAPER_PLATES) if study.paper else set()
     plates |= {NAME} if study.noise_budget else set()
     sheets = (f"figures/contact_sheet_{label}.png" for label in labels)

@@ -299,7 +299,7 @@ def first_study(readme: Path, folder: Path) -> Path:
     first, printed = (block for block in blocks_of(text) if block.comments.get("elsewhere", "").startswith(here))
     command = re.search(r"\.venv/bin/(pixsim study .*)", first.text)[1]
     picture = next(line for line in text.splitlines() if line.startswith("!["))
-    created = "pixsim-out/chen2000-quick/figures/figure_7_delta_e_against_pitch.svg"
+    created = "pixsim-out/chen2000-quick/figures/delta_e_against_pitch.svg"
     parts = [f"```sh\n{command}\n```", f"<!-- output -->\n```text\n{printed.text}```", f"<!-- picture: {created} -->\n{picture}"]
     page = folder / "first_study.md"
     page.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
