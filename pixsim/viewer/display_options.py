@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import Field, model_validator
 
 from pixsim.base.problems import Words
 from pixsim.base.records import Record
@@ -71,14 +71,6 @@ class Display(Record):
         "bradford",
         description="of coloured pictures: how the white of the scene becomes that of the display, ideal and sensor alike",
     )
-
-    @model_serializer(mode="wrap")
-    def _without_absent_white(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """A display whose white is a luminance is written, and hashed, as if there were no other whites."""
-        table: dict[str, Any] = handler(self)
-        absent = [name for name in ("white_w_per_m2_sr", "white") if table.get(name) is None]
-        absent += ["diffuser_reflectance"] if "white" in absent and table.get("diffuser_reflectance") == 1.0 else []
-        return {name: value for name, value in table.items() if name not in absent}
 
     @model_validator(mode="after")
     def _one_white(self) -> Self:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Annotated, Any, Self
 
-from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from pixsim.base.layers import Layer
 from pixsim.base.problems import Words
@@ -80,12 +80,6 @@ class Setting(Effort):
     noise_budget: bool = Field(
         False, description="also tell electrons and ΔE by cause, of the first sensor, each cause switched off in turn"
     )
-
-    @model_serializer(mode="wrap")
-    def _without_what_is_off(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Without a noise budget settings are written, and hashed, as if there were no such field."""
-        table: dict[str, Any] = handler(self)
-        return table if self.noise_budget else {name: value for name, value in table.items() if name != "noise_budget"}
 
     @property
     def stage_words(self) -> list[str]:

@@ -188,8 +188,3 @@ def test_two_whites_are_refused() -> None:
 def test_white_of_a_later_layer_replaces_that_of_an_earlier_one(base: dict[str, Any], over: dict[str, Any]) -> None:
     """In whatever words: an option over a file, or a condition over a study."""
     assert merge({"display": {"dots": 32, **base}}, {"display": over})["display"] == {"dots": 32, **over}
-
-
-def test_display_without_it_is_written_as_before() -> None:
-    assert not {"white", "diffuser_reflectance"} & Display().model_dump().keys()
-    assert Display(white="diffuser").model_dump()["diffuser_reflectance"] == 1.0
