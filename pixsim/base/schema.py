@@ -17,7 +17,6 @@ from pixsim.base.notes import Note
 # 1: names of settings and of entries, technologies 4t-*, random streams of large frames, and one results.csv for all cases.
 # 2: notes, which have ids, and entries that the JSON of all commands has: settings, cases, table, optima.
 SCHEMA = 2
-ROW_SCHEMAS = frozenset({"1", "2"})  # whose rows of results.csv are those of this one
 KEY = "schema"
 SHARED_KEYS = ("settings", "cases", "table", "optima", "notes")
 ONE_CASE: tuple[Mapping[str, Any], ...] = ({"at": {}},)

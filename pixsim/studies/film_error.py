@@ -372,7 +372,6 @@ def measure_film(
     chart: Chart | None = None,
     tolerance_delta_e: float | None = None,
     keep: bool = False,
-    larger: Sequence[Imaging] = (),
     progress: Progress | None = None,
 ) -> FilmError:
     """Return the error of a film for each of some pixels, from its picture.
@@ -381,30 +380,34 @@ def measure_film(
     chart : that the film shows, if nothing else; its detail is known
     tolerance_delta_e : None tolerates the larger of 0.01 and 2 % of mean ΔE
     keep : use the cache, for the picture of a render (`kept_steps`)
-    larger : increasing; the first whose channels are told apart takes the place of a smaller pixel whose channels are not
-    """
 
+    Pixels whose channels are not told apart are left out. Raises AlikeChannelsError if no pixel is left.
+    """
     with without_warnings():  # the run itself warns of the white
         white = white_header([(imaging.changed(border_um=None, motion=STILL), image) for imaging in measured])
         shown = image.with_planes(image.whole.planes, header=image.header | white, margin=image.margin)
 
-    def steps_of(number: int, imaging: Imaging) -> tuple[float, tuple[float, float]]:
+    pitches_um: list[float] = []
+    errors: list[float] = []
+    means: list[float] = []
+    for number, imaging in enumerate(measured):
         part = share_of(progress, number / len(measured), (number + 1) / len(measured))
-        instead = [each for each in larger if each.pixel.pitch_um > imaging.pixel.pitch_um]
-        for each in (imaging, *instead):
-            try:
-                return each.pixel.pitch_um, (kept_steps if keep else film_steps)(shown, each, chart, progress=part).error()
-            except AlikeChannelsError:
-                if each is (instead or [imaging])[-1]:
-                    raise
-        raise AssertionError("unreachable")
+        try:
+            steps = (kept_steps if keep else film_steps)(shown, imaging, chart, progress=part)
+        except AlikeChannelsError:
+            if number == len(measured) - 1 and not pitches_um:
+                raise
+            continue
+        mean_delta_e, error_delta_e = steps.error()
+        pitches_um.append(imaging.pixel.pitch_um)
+        means.append(mean_delta_e)
+        errors.append(error_delta_e)
 
-    pitches, found = zip(*(steps_of(*each) for each in enumerate(measured)), strict=True)
     if tolerance_delta_e is None:
-        tolerated = [max(TOLERATED_DELTA_E, TOLERATED_SHARE * mean) for mean, _ in found]
+        tolerated = [max(TOLERATED_DELTA_E, TOLERATED_SHARE * mean) for mean in means]
     else:
-        tolerated = [tolerance_delta_e] * len(found)
-    return FilmError(image.shape, image.pitch_um, pitches, tuple(error for _, error in found), tuple(tolerated))
+        tolerated = [tolerance_delta_e] * len(means)
+    return FilmError(image.shape, image.pitch_um, tuple(pitches_um), tuple(errors), tuple(tolerated))
 
 
 # A mean ΔE grows with the contrast that a lens takes, so a relative error of that contrast is one of ΔE. Whole films of 1024 and of

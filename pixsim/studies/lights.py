@@ -77,7 +77,6 @@ class LightRequest:
     settings : with the limits of the render, and its seed
     pixel : the least noisy one, with whose noise that of the render is compared
     measured : pixels for which the error of the film is measured, with the camera
-    larger : of `measure_film`
     """
 
     scene: Scene
@@ -86,7 +85,6 @@ class LightRequest:
     settings: Setting
     pixel: Pixel | PixelPhysics
     measured: Sequence[Imaging]
-    larger: Sequence[Imaging] = ()
 
     @property
     def camera(self) -> Camera:
@@ -131,7 +129,7 @@ class LightRequest:
         Pixels whose channels are not told apart show none.
         """
         delta_e = []
-        for imaging in (*self.measured, *self.larger[-1:]):
+        for imaging in self.measured:
             try:
                 delta_e.append(delta_e_between(image, other, imaging))
             except AlikeChannelsError:
@@ -140,14 +138,12 @@ class LightRequest:
 
     def film_error(self, image: SpectralImage, plan: Plan, *, progress: Progress | None = None) -> FilmError:
         """Return the error of a film, measured in its picture."""
-        tolerance_delta_e, larger = self.settings.tolerance_delta_e, self.larger
         return measure_film(
             image,
             self.measured,
             chart=plan.film.chart,
-            tolerance_delta_e=tolerance_delta_e,
+            tolerance_delta_e=self.settings.tolerance_delta_e,
             keep=True,
-            larger=larger,
             progress=progress,
         )
 
@@ -361,10 +357,9 @@ def light_request(case: Case[Any]) -> LightRequest:
         return LightRequest(scene, planned(scene), planned, study, study.pixel, [Imaging.of(study, camera)])
     first = study.technologies[0]
     scene, plan = first_film(study, scene, camera)
-    pitches_um = study_pitches_um(study, first).tolist() if study.options_of(first).colour is not None else []
-    larger = [imaging_of(study, camera, first, pitch_um) for pitch_um in pitches_um]
-    largest, of_film = physics_of(study, first, largest_pixel_um(study, first)), partial(study_plan, camera=camera, study=study)
-    return LightRequest(scene, plan, of_film, study, largest, measured_pixels(study, camera), larger)
+    largest = physics_of(study, first, largest_pixel_um(study, first))
+    plan_of_film = partial(study_plan, camera=camera, study=study)
+    return LightRequest(scene, plan, plan_of_film, study, largest, measured_pixels(study, camera))
 
 
 def render_for(case: Case[Study], progress: Progress | None = None, film: FilmError | None = None) -> Light:

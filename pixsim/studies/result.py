@@ -149,21 +149,13 @@ class StudyResult(Result):
 
     def dark(self, curve: Curve) -> dict[str, list[float]]:
         """Return `pixsim.viewer.dark_clip.dark_clip` for the pitches of a curve, a list for each of its numbers."""
-        exposures = tuple(zip(curve.pitch_um.tolist(), curve.mean("integration_s").tolist(), strict=True))
-        if (curve.technology, exposures) not in self._dark:  # a report asks more than once
-            clips = []
-            for pitch_um, time_s in exposures:
-                imaging = imaging_of(self.study, self.camera, curve.technology, pitch_um)
-                rate = white_rate(imaging, self.irradiance)
-                area_um2 = collecting_area_um2(self.irradiance, self.camera, imaging.physics) * imaging.readout.bin_side**2
-                clips.append(dark_clip(imaging.readout, time_s, rate * area_um2 * time_s))
-            self._dark[curve.technology, exposures] = {name: [clip[name] for clip in clips] for name in clips[0]}
-        return self._dark[curve.technology, exposures]
-
-    @cached_property
-    def _dark(self) -> dict[tuple[str, tuple[tuple[float, float], ...]], dict[str, list[float]]]:
-        """What `dark` has computed."""
-        return {}
+        clips = []
+        for pitch_um, time_s in zip(curve.pitch_um.tolist(), curve.mean("integration_s").tolist(), strict=True):
+            imaging = imaging_of(self.study, self.camera, curve.technology, pitch_um)
+            rate = white_rate(imaging, self.irradiance)
+            area_um2 = collecting_area_um2(self.irradiance, self.camera, imaging.physics) * imaging.readout.bin_side**2
+            clips.append(dark_clip(imaging.readout, time_s, rate * area_um2 * time_s))
+        return {name: [clip[name] for clip in clips] for name in clips[0]}
 
     def scores(self, technology: str, pitch_um: Pitch, repeats: Count | None = None) -> list[FrameScore]:
         """Return the scores, with pictures, of the first `repeats` sensors of a `technology` at a pitch.

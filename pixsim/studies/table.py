@@ -28,7 +28,7 @@ from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.files import digest_of, kind_of, opened, replacing, take_off_list, version_of_files
 from pixsim.base.notes import Note, warn
 from pixsim.base.result import Result
-from pixsim.base.schema import KEY, ROW_SCHEMAS, SCHEMA, of_another
+from pixsim.base.schema import KEY, SCHEMA
 from pixsim.base.tables import csv_text, dataframe_of
 from pixsim.base.version import VERSION
 from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, PIXEL_STATISTICS, Metric, columns_of_metrics, columns_with_numbers
@@ -158,7 +158,6 @@ def _moved(entries: Mapping[int, Any], places: NDArray[Any]) -> dict[int, Any]:
 
 ROWS_FILE = "results.csv"  # a row for each evaluation
 COLUMNS = (*OF_PIXEL, *DELTA_E.columns)  # of results.csv of a study with ΔE alone
-TEXTS = COLUMNS[:2]
 MAX_BYTES = 1 << 31  # eight million rows
 MAX_LINE = 1 << 14
 CHECK = "check"  # the last column, which shows whether a row is as it was written
@@ -178,13 +177,11 @@ class Store:
     path : of the file; None keeps them in memory alone
     labels : columns that tell cases and displays apart, after the repeat
     metrics : of the rows
-    another_schema : that a row of the file states which is left out; empty if it states none, None if there is no such row
     damaged : number of rows of the file that are not as they were written
     """
 
     def __init__(self, path: Path | None, labels: Sequence[str] = (), metrics: Sequence[Metric] = (DELTA_E,)) -> None:
         self.path = path
-        self.another_schema: str | None = None
         self.damaged = 0
         self.columns, self.metrics = row_columns(labels, metrics), tuple(metrics)
         self._head = csv_text([[*self.columns, KEY, CHECK]]).rstrip()
@@ -222,7 +219,7 @@ class Store:
 
         If there are others, copy the file; leave only the expected rows.
 
-        Warns of rows of another schema or version of pixsim, and of rows that fail their check: they are computed again.
+        Warns of rows of another version of pixsim, and of rows that fail their check: they are computed again.
         """
         if self.path is None:
             return []
@@ -234,7 +231,7 @@ class Store:
                 has_others = True
 
         has_content = self.path.is_file() and self.path.stat().st_size > len(self.text(())) + 1
-        if has_content and (has_others or self.damaged or not self._places or self.another_schema is not None):
+        if has_content and (has_others or self.damaged or not self._places):
             self._say_what_is_kept(self.path)
         take_off_list(self.path)
         self.write(self._trusted_rows(self.path))
@@ -251,10 +248,7 @@ class Store:
     def _say_what_is_kept(self, path: Path) -> None:
         """Copy the file, and warn of its rows that do not continue."""
         backup = self._back_up(path)
-        if self.another_schema is not None:
-            rows = f"rows of '{path}' state {of_another(self.another_schema)}"
-            warn(Note("rows_not_continued", rows=rows, backup=backup, then=", and they are computed again"))
-        elif not self._places and not self.damaged and (version := version_of_files(path.parent)) != VERSION:
+        if not self._places and not self.damaged and (version := version_of_files(path.parent)) != VERSION:
             which = f"of pixsim {version}" if version else "of other settings, or of another version of pixsim"
             then = ", and they are computed again; only the settings and the version that wrote them continue them"
             warn(Note("rows_not_continued", rows=f"the rows of '{path}' are {which}", backup=backup, then=then))
@@ -279,8 +273,11 @@ class Store:
         return set() if self.path is None else {row["key"] for row in self._whole_rows(self.path)}
 
     def _whole_rows(self, path: Path) -> Iterator[Row]:
-        """Iterate over the rows of this schema that are as pixsim wrote them, one in memory at a time, and count the others."""
-        self.another_schema, self.damaged = None, 0
+        """Iterate over the rows that are as pixsim wrote them, one in memory at a time, and count those that were changed.
+
+        Rows without a check, as of release 1.1, are of other settings.
+        """
+        self.damaged = 0
         if not path.is_file():
             return
         allowed = "the rows of a study"
@@ -289,15 +286,11 @@ class Store:
             try:
                 head = next(lines, "")
                 names = next(csv.reader([head]), [])
-                for line in lines:
+                for line in lines if names[-1:] == [CHECK] else ():
                     row = dict(zip(names, next(csv.reader([line]), []), strict=False))
-                    stated = row.get(KEY) if KEY in names else "" if TEXTS[0] in names else None
-                    if names[-1:] == [CHECK] and not is_as_written(line, head):
+                    if not is_as_written(line, head):
                         self.damaged += 1
-                    elif stated not in ROW_SCHEMAS:
-                        if stated == "" or (stated and stated.isdecimal()):  # else it is no row
-                            self.another_schema = stated
-                    elif names[-1:] == [CHECK] and self._has_numbers(row):  # no row of 1.1 is of these settings
+                    elif self._has_numbers(row):
                         yield {name: row.get(name, "") for name in self.columns}
             except csv.Error as error:
                 hint = "Move the file away: its rows are then computed again."

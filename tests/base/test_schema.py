@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import warnings
-from pathlib import Path
 
 import pytest
 
@@ -15,25 +13,11 @@ from pixsim.base.schema import KEY, SCHEMA
 from pixsim.base.toml import HEAD, read_toml, settings_table_text
 from pixsim.cli.options import answer
 from pixsim.show.document import Document
-from pixsim.studies.table import CHECK, COLUMNS, Store, check_of
+from pixsim.studies.table import CHECK, COLUMNS, Store
 
 
 def row(number: int) -> dict[str, str]:
     return {"key": f"key{number}", "technology": "0.35um"} | dict.fromkeys(COLUMNS[2:], "1.5")
-
-
-def edited(path: Path, change: str) -> bytes:
-    """Change the file of some rows: as a preview of 0.1 wrote it, or another version, in all rows or in the last one."""
-    with path.open(newline="") as file:
-        rows = list(csv.reader(file))
-    if change == "none":
-        rows = [line[:-2] for line in rows]
-    else:
-        for line in rows[1 if change == "all" else -1 :]:
-            line[-2:] = [str(SCHEMA + 1), check_of(",".join([*line[:-2], str(SCHEMA + 1)]), ",".join(rows[0]))]
-    with path.open("w", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows(rows)
-    return path.read_bytes()
 
 
 def test_json_files_and_output_state_the_schema(tmp_path, capsys):
@@ -48,24 +32,18 @@ def test_json_files_and_output_state_the_schema(tmp_path, capsys):
     assert json.loads((tmp_path / LIST).read_text())[KEY] == SCHEMA
 
 
-@pytest.mark.parametrize(
-    ("change", "says", "kept"),
-    [
-        ("none", "state no schema", []),
-        ("all", f"state schema {SCHEMA + 1}", []),
-        ("last", f"state schema {SCHEMA + 1}", ["key0", "key1"]),
-    ],
-)
-def test_rows_of_another_schema_are_kept_apart_and_computed_again(tmp_path, change, says, kept):
+def test_rows_without_a_check_are_kept_apart_and_computed_again(tmp_path):
+    """As those of release 1.1, whose rows ended with the last metric. Keys tell rows of other versions that have a check."""
     results = Store(tmp_path / "results.csv")
     results.write(row(number).values() for number in range(3))
-    before = edited(results.path, change)
-    with pytest.warns(UserWarning, match=f"{says}.*results.csv.old.*computed again") as told:
-        assert list(results.resume(lambda row: True)) == kept
+    lines = [line.rsplit(",", 2)[0] for line in results.path.read_text().splitlines()]
+    results.path.write_text("\n".join(lines) + "\n")
+    before = results.path.read_bytes()
+    with pytest.warns(UserWarning, match=r"of another version of pixsim.*results.csv.old.*computed again") as told:
+        assert results.resume(lambda row: True) == []
     assert len(told) == 1
     assert (tmp_path / "results.csv.old").read_bytes() == before
-    assert results.path.read_text().splitlines()[0] == ",".join([*COLUMNS, KEY, CHECK])
-    assert [line.partition(",")[0] for line in results.path.read_text().splitlines()[1:]] == kept
+    assert results.path.read_text().splitlines() == [",".join([*COLUMNS, KEY, CHECK])]
 
 
 def test_rows_of_this_schema_are_resumed_without_a_word(tmp_path):
