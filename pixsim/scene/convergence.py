@@ -112,11 +112,11 @@ def render_until(
     begun_s = time.monotonic()
     ends_at_s = None if max_seconds is None else begun_s + (1 + GRACE) * max_seconds + GRACE_S
     job = Renderer(scene, camera, plan, seed, keep=keep, ends_at_s=ends_at_s)
-    white = job.diffuser  # now: behind the renders no time may be left for a white plate
+    _ = job.diffuser  # now: behind the renders no time may be left for a white plate
     if plan.samples.exact:
         pictures, spp = job.run(0, lambda done: progress(done, "") if progress else None)
         noise = RenderNoise(0.0, 0.0, render_noise, 1, "target", 0.0, tolerance_delta_e)
-        return job.image(pictures, spp, white, render_noise=asdict(noise)), noise
+        return job.image(pictures, spp, render_noise=asdict(noise)), noise
 
     derived = [derive(pixel, load_technology(pixel.technology)) if isinstance(pixel, Pixel) else pixel for pixel in pixels]
     sensed = [[physics.pixel.model_dump(), physics.technology.content] for physics in derived]
@@ -176,7 +176,7 @@ def render_until(
     _average(halves[0], halves[1], weight)
     halves.pop()
     rounded = {key: float(f"{value:.6g}") if isinstance(value, float) else value for key, value in asdict(noise).items()}
-    return job.image(halves[0], samples, white, render_noise=rounded), noise
+    return job.image(halves[0], samples, render_noise=rounded), noise
 
 
 def _ended_by(noise: RenderNoise, *, no_samples_left: bool, is_late: bool) -> EndedBy | None:

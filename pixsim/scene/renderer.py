@@ -124,7 +124,6 @@ CELLS_PER_KERNEL = 1 << 23  # memory for their sums, in float32 and float64; few
 SCALAR_STRIPS = 16
 SAMPLES_PER_STRIP = 1 << 16  # of scalar variants; with fewer, the start of a render takes longer than the samples
 SPP_PER_RENDER = 4096  # Mitsuba's float32 sums drift by 1e-5 at 65 536; more samples are averaged here in float64
-ALLOWED_SPP = (1, 1 << 20)
 BLACK_HINT = (
     "Check that shapes are in view and face the camera, and that lamps face them: area lights and most surfaces are one-sided; "
     "that the camera is in no shape; that no picture of a lamp is 0; and that hide_emitters is off."
@@ -215,8 +214,6 @@ class Renderer:
         self.size = scene.film_shape(self.seen, state)
         for side in self.size:
             check_resolution(side)
-        if not (plan.samples.exact or ALLOWED_SPP[0] <= plan.samples.spp <= ALLOWED_SPP[1]):
-            raise invalid("spp", plan.samples.spp, f"{ALLOWED_SPP[0]} to {ALLOWED_SPP[1]}")
         self.pitch_um = 1e3 * camera.die_mm / self.size[1]
         self.margin = plan.film.margin(self.size, self.pitch_um)
         self.field = self.size[0] + 2 * self.margin, self.size[1] + 2 * self.margin  # cells that are rendered
@@ -379,16 +376,12 @@ class Renderer:
             parts = max(-(-samples // samples_per_kernel), -(-height * width // CELLS_PER_KERNEL))
         return np.linspace(0, height, min(parts, height) + 1).astype(int).tolist()
 
-    def image(self, pictures: Sequence[Picture], spp: int, diffuser: dict[str, Any] | None = None, **more: Any) -> SpectralImage:
-        """Return the irradiance of mean pictures with `spp` samples per film cell; `more` goes into the header.
-
-        diffuser : what `self.diffuser` was before the render, behind which no time may be left for a white plate
-        """
+    def image(self, pictures: Sequence[Picture], spp: int, **more: Any) -> SpectralImage:
+        """Return the irradiance of mean pictures with `spp` samples per film cell; `more` goes into the header."""
         if not any(self.lit(picture) for picture in pictures):
             dark_skies = warnings_of_skies(parse_tree(self.text.text, self.source.choice.reading), self.source.choice.reading)
             raise invalid("rendered picture", "a black picture", "some light", " ".join(dark_skies) or BLACK_HINT)
-        white = self.diffuser if diffuser is None else diffuser
-        header = provenance(self.source, self.camera, self.plan, self.seed, spp) | {"film": list(self.size)} | white | more
+        header = provenance(self.source, self.camera, self.plan, self.seed, spp) | {"film": list(self.size)} | self.diffuser | more
         header |= {DEPTHS: finite_or_none([float(f"{depth_m:.6g}") for depth_m in self.depths_m])} if self.depths_m else {}
         if self.plan.light.factored:
             planes = [picture[:, :, pulse] for picture in pictures for pulse in range(picture.shape[2])]
