@@ -23,7 +23,7 @@ from pixsim.base.arrays import Array
 from pixsim.base.errors import invalid
 from pixsim.light.curves import Curves
 from pixsim.sensor.camera_data import camera_channels, camera_sensitivities
-from pixsim.sensor.colour_options import ColourOptions, channels_of
+from pixsim.sensor.colour_options import ColourOptions, channels_of, is_cell
 from pixsim.sensor.pixel_options import PixelOptions
 
 STACK_MARK, ROW_MARK = "+", "/"
@@ -57,8 +57,7 @@ class Layout:
         is_stacked = STACK_MARK in text
         cell = ("".join(text.split(STACK_MARK)),) if is_stacked else tuple(text.split(ROW_MARK))
         layout = cls(cell, is_stacked)
-        letters = "".join(cell)
-        if not letters or not all("A" <= letter <= "Z" for letter in letters) or len({*map(len, cell)}) > 1 or str(layout) != text:
+        if not is_cell(cell) or str(layout) != text:
             raise ValueError(f"got {text!r}; allowed: rows of capital letters, as RG/GB, or planes, as R+G+B")
         return layout
 

@@ -40,6 +40,16 @@ LARGEST_CELL = 8  # rows and columns of a unit cell
 BIN = 2  # pixels along a side of those whose charge is summed
 
 
+ALLOWED_CELL = f"rows of equal length, up to {LARGEST_CELL} x {LARGEST_CELL} capital letters, as ['RG', 'GB']"
+
+
+def is_cell(rows: Sequence[str]) -> bool:
+    """Whether rows of letters are a unit cell."""
+    lengths = {len(row) for row in rows}
+    fits = len(lengths) == 1 and 1 <= min(lengths) <= max(lengths) <= LARGEST_CELL and len(rows) <= LARGEST_CELL
+    return fits and all("A" <= letter <= "Z" for row in rows for letter in row)
+
+
 def channels_of(cell: Iterable[str]) -> tuple[str, ...]:
     """The letters of a unit cell: R, G and B first, then the others in their order of appearance."""
     letters = dict.fromkeys("".join(cell))
@@ -106,13 +116,8 @@ class ColourOptions(Record):
     @model_validator(mode="after")
     def _cell_is_whole(self) -> Self:
         rows = self.matrix
-        if rows is not None:
-            if not rows or not rows[0] or len({len(row) for row in rows}) > 1:
-                raise ValueError(f"matrix = {list(rows)}; allowed: rows of equal length, as ['RG', 'GB']")
-            if max(len(rows), len(rows[0])) > LARGEST_CELL:
-                raise ValueError(f"matrix of {len(rows)} x {len(rows[0])} pixels; allowed: up to {LARGEST_CELL} x {LARGEST_CELL}")
-            if unknown := next((letter for row in rows for letter in row if not "A" <= letter <= "Z"), ""):
-                raise ValueError(f"matrix with {unknown!r}; allowed: capital letters, as R, G, B, C (clear) or W (white)")
+        if rows is not None and not is_cell(rows):
+            raise ValueError(f"matrix = {list(rows)}; allowed: {ALLOWED_CELL}")
         if self.binning and not binned_cell(self.unit_cell):
             hint = "allowed: binning of 2 x 2 pixels of the same letter, as quad_rggb has them"
             name = "matrix" if self.matrix else "pattern"

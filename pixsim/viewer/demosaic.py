@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike
 
 from pixsim.base.arrays import Array, Picture, empty_planes
 from pixsim.base.errors import did_you_mean, invalid
-from pixsim.sensor.colour_options import BAYER, binned_cell, channels_of
+from pixsim.sensor.colour_options import ALLOWED_CELL, BAYER, binned_cell, channels_of, is_cell
 from pixsim.viewer.display import SPLINE_DEGREE, average_axis
 
 Method = Literal["bilinear", "malvar2004", "menon2007", "interpolate"]
@@ -36,7 +36,6 @@ Method = Literal["bilinear", "malvar2004", "menon2007", "interpolate"]
 Products = tuple[tuple[float, tuple[float, ...]], ...]
 WHITE: Products = ((1.0, (1.0,)),)  # of no filter
 MAX_VALUE = 1e300  # sums of these do not overflow
-MAX_CELL = 16  # pixels along a side of the unit cell
 MENON_REACH = 8  # pixels: 4 that decide on the direction, 2 for green and for red or blue, 2 of the refinement
 SPLINE_REACH = 16  # pixels, over which a cubic spline forgets its ends to 1e-9
 # Weights of |difference(x) - difference(x + 2)| around a pixel in the change along x; transposed, along y.
@@ -183,14 +182,8 @@ def unit_cell(pattern: str | Sequence[str]) -> tuple[str, ...]:
             raise invalid("pattern", f"'{pattern}'", f"{', '.join(BAYER)}, or rows such as ['RG', 'CB']", hint)
         return BAYER[pattern]
     cell = tuple(pattern)
-    allowed = f"rows of equal length, 1 to {MAX_CELL} × {MAX_CELL} capital letters, such as ['RG', 'CB']"
-    if not 1 <= len(cell) <= MAX_CELL or not all(1 <= len(row) <= MAX_CELL for row in cell):
-        raise invalid("pattern", list(cell), allowed)
-    if len({len(row) for row in cell}) > 1:
-        raise invalid("pattern", f"{list(cell)}, rows of {' and '.join(map(str, sorted({len(row) for row in cell})))}", allowed)
-    others = sorted({letter for row in cell for letter in row if not "A" <= letter <= "Z"})
-    if others:
-        raise invalid("pattern", f"{list(cell)} with {', '.join(map(repr, others))}", allowed)
+    if not is_cell(cell):
+        raise invalid("pattern", list(cell), ALLOWED_CELL)
     return cell
 
 

@@ -46,7 +46,7 @@ def options(settings: dict[str, Any], prefix: str = "") -> list[str]:
             ["channel G with 1.1682 at 520 nm", "0 to 1", "Divide percentages by 100"],
         ),
         ("macbeth", {"transmittances": "nan.csv"}, {}, ["transmittances", "channel G with nan at 400 nm"]),
-        ("macbeth", GOOD | {"matrix": ["RG", "gB"]}, {}, ["matrix with 'g'", "capital letters"]),
+        ("macbeth", GOOD | {"matrix": ["RG", "gB"]}, {}, ["gB", "capital letters"]),
         (
             *("macbeth", GOOD | {"matrix": ["RG", "BG"]}, {"demosaic": "malvar2004"}),
             ["develop.demosaic", "'malvar2004' for the unit cell RG, BG", "'interpolate' for any other"],
