@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, replace
 from functools import reduce
 from itertools import product
@@ -50,7 +50,6 @@ from pixsim.show.document import (
     DocumentTable,
     Fact,
     Listed,
-    Map,
     Pictures,
     Plot,
     Section,
@@ -242,7 +241,7 @@ def comparison_page(result: Comparison) -> Document:
     return replace(
         comparison_document(result),
         lead=(_slider(result), *facts(result), *notes(result)),
-        sections=_sections(result, pictures, end),
+        sections=_sections(result, end),
         files={**pictures, **settings_files(result.job)},
     )
 
@@ -479,10 +478,9 @@ def _slider(result: Comparison) -> Slider:
     return Slider("slider", heading, first, (*others, ideal), f"the picture of {first.name}", "the chosen picture")
 
 
-def _sections(result: Comparison, pngs: Mapping[str, bytes], end: float) -> Iterator[Section]:
+def _sections(result: Comparison, end: float) -> Iterator[Section]:
     """Yield the sections of the page.
 
-    pngs : name -> picture
     end : of the colour scale of the ΔE maps
     """
     job, sensors = result.job, result.sensors
@@ -490,8 +488,6 @@ def _sections(result: Comparison, pngs: Mapping[str, bytes], end: float) -> Iter
     yield Section("differences", "Differences", [*tables, Plot(lambda: scores_plate(result)), PAIRED.format(job.repeats)])
     if judged_by_delta_e(job.base[0]):
         yield _detail(result, end)
-        maps = [Map(pngs[f"pictures/delta_e_{sensor.name}.png"], f"{sensor.name}, first frame: S-CIELAB ΔE.") for sensor in sensors]
-        yield Section("maps", "Maps of the errors", maps, folded=True)
     coloured = [
         DocumentTable(
             f"colours of {sensor.name}", (), colour_rows(sensor.colour, sensor.score.out_of_gamut), sensor.name, words=None

@@ -193,7 +193,7 @@ class StudyDrawing:
     """A thread that draws the figures of a study: those that follow from its light alone while workers evaluate.
 
     figures : "pdf" draws a PDF beside each SVG
-    scene, maps : the paper's figures of pixels and scene, and of ΔE maps, if they are begun
+    scene : the paper's figures of pixels, if they are begun
     sizes : pitch -> maps of the paper's pixel sizes, if they are begun
     """
 
@@ -201,7 +201,6 @@ class StudyDrawing:
         self._thread = thread
         self.figures = figures
         self.scene: list[Plot] = []
-        self.maps: list[Plot] = []
         self.sizes: dict[float, Future[SizeMaps]] = {}
 
     def begin(self, study: StudyResult) -> None:
@@ -214,10 +213,6 @@ class StudyDrawing:
         if study.study.paper:
             self.scene = [self.plot(draw, study) for draw in SCENE_FIGURES]
             self.sizes = {pitch_um: self._thread.submit(size_maps, study, pitch_um) for pitch_um in FIGURE_6_PITCHES_UM}
-            self.maps = [self.plot(self._map_figure, study)]
-
-    def _map_figure(self, study: StudyResult) -> Plate:
-        return figure_6(Evidence(study, {}, {pitch_um: maps.result() for pitch_um, maps in self.sizes.items()}))
 
     def plot(self, draw: Callable[P, Plate], *args: P.args, **options: P.kwargs) -> Plot:
         """Return a figure that is drawn after those that wait."""
@@ -380,7 +375,7 @@ def study_page(
     views, sizes = pictures_of_workers(result, workers, sizes_um)
     evidence = Evidence(result, by_name, sizes | {pitch_um: maps.result() for pitch_um, maps in begun.items()})
     rows = findings(evidence) if paper else []
-    further = drawing.maps if begun and not sizes_um else [drawing.plot(figure_6, evidence)] * paper
+    further = [drawing.plot(figure_6, evidence)] if paper else []
 
     brief = study_document(result)
     unstated = [UNSTATED] if all(curve.data_sheet for curve in result.curves) else []

@@ -473,7 +473,7 @@ def test_compare_study_answers_with_the_weighted_mean(under_study: tuple[Path, s
     assert "; depends on the match: quiet is better with view, " in answer
     assert "exposure in day" in head
     assert common.startswith(
-        "the study both (not used: technologies); means over its conditions, with the weights never (0), day (0.75), night (0.25); "
+        "the study both; means over its conditions, with the weights never (0), day (0.75), night (0.25); "
         "in day: the same field of 18.8° × 14.1°"
     )
     assert "4 pairs of frames with the same seeds" in common
