@@ -171,7 +171,7 @@ def test_time_limit_that_ends_a_render_leaves_the_plate(tmp_path: Path) -> None:
     scene = replace(load_scene(scene_file(tmp_path, DIRECTIONAL, BOARD)).with_resolution(16), diffuser=True)
     plan = make_render_plan(scene, scene.camera())
     asked = scene, scene.camera(), plan, [pixsim.Pixel(**PIXEL)], pixsim.Exposure(), 0
-    with pytest.warns(UserWarning, match="the time limit of 0.001 s"):
+    with pytest.warns(UserWarning, match="its time limit of 0.001 s"):
         light, noise = render_until(*asked, render_noise=1e-9, max_seconds=1e-3)
     assert noise.ended_by == "max_seconds"
     radiance = np.array(light.header["diffuser"]["w_per_m2_sr_nm"]) @ light.band_width_nm
