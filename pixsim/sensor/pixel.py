@@ -254,6 +254,23 @@ def smallest_pitch_um(technology: Technology) -> float:
     return technology.fill_factor_zero_pitch_features * technology.feature_size_um
 
 
+def fill_factor_at(pitch_um: float, pixel: Pixel, technology: Technology, name: str) -> float:
+    """Return the fill factor of a pixel at a pitch: the stated one, or that of `fill_factor_law`.
+
+    name : of the setting that states the pitch, for messages
+
+    Raises PixsimError for a pitch that leaves no photodiode.
+    """
+    fill_factor = pixel.fill_factor or float(fill_factor_law(pitch_um, technology))
+    if fill_factor < MIN_FRACTION:  # below the smallest pitch, or so little above it that rounding decides
+        allowed = f"above {smallest_pitch_um(technology):.4g} µm, where the transistors of {technology.name} fill the pixel"
+        hint = ""
+        if missing := ", ".join(pixel.assumed):
+            hint = f"No technology was chosen: the default would supply {missing}. Give {missing}, and the pixel needs none."
+        raise invalid(name, f"{pitch_um:g}", allowed, hint)
+    return fill_factor
+
+
 def pitch_for_fill_factor_um(fill_factor: float, technology: Technology) -> float:
     """Return the pitch in µm at a fill factor, the inverse of `fill_factor_law`.
 
@@ -559,10 +576,7 @@ class PixelPhysics:
         pitch_um = own.quantum_efficiency_pitch_um or sheet_um or self.pitch_um
         side_um = self.stack.photodiode_side_um
         if pitch_um != self.pitch_um:
-            fill_factor = own.fill_factor or float(fill_factor_law(pitch_um, self.technology))
-            if fill_factor < MIN_FRACTION:
-                allowed = f"above {smallest_pitch_um(self.technology):.4g} µm, the smallest pixel of {self.technology.name}"
-                raise invalid("quantum_efficiency_pitch_um", f"{pitch_um:g}", allowed)
+            fill_factor = fill_factor_at(pitch_um, own, self.technology, "quantum_efficiency_pitch_um")
             side_um = math.sqrt(fill_factor) * pitch_um
         stated_um = self.charge.stack.height_um if self.charge else None  # a wide microlens lies higher
         height_um = max(stated_um or self.stack.height_um, LOWEST_LENS * pitch_um)
@@ -639,10 +653,7 @@ def growth_from_data_sheet(pixel: Pixel, technology: Technology, area_um2: Posit
     measured_um = pixel.data_sheet_pitch_um
     if measured_um is None:
         return 1.0
-    fill_factor = pixel.fill_factor or float(fill_factor_law(measured_um, technology))
-    if fill_factor < MIN_FRACTION:
-        allowed = f"above {smallest_pitch_um(technology):.4g} µm, where the transistors of {technology.name} fill the pixel"
-        raise invalid("pixel.data_sheet_pitch_um", f"{measured_um:g}", allowed)
+    fill_factor = fill_factor_at(measured_um, pixel, technology, "pixel.data_sheet_pitch_um")
     growth = area_um2 / (fill_factor * measured_um**2)
     low_e, high_e = WELL_RANGE_E
     measured_e = pixel.full_well_e if full_well_e is None else full_well_e
@@ -849,14 +860,7 @@ def derive(pixel: Pixel, technology: Technology | None = None) -> PixelPhysics:
     def given(value: float | None, otherwise: float) -> float:
         return otherwise if value is None else value
 
-    fill_factor = given(pixel.fill_factor, float(fill_factor_law(pixel.pitch_um, technology)))
-    if fill_factor < MIN_FRACTION:  # below the smallest pitch, or so little above it that rounding decides
-        usual = min(0.05, technology.fill_factor_limit / 2)
-        allowed = f"above {smallest_pitch_um(technology):.4g} µm, where the transistors of {technology.name} fill the pixel"
-        hint = f"{100 * usual:.3g} % fill factor is reached at {pitch_for_fill_factor_um(usual, technology):.4g} µm."
-        if missing := ", ".join(pixel.assumed):
-            hint = f"No technology was chosen: the default would supply {missing}. Give {missing}, and the pixel needs none. {hint}"
-        raise invalid("pixel.pitch_um", f"{pixel.pitch_um:g}", allowed, hint)
+    fill_factor = fill_factor_at(pixel.pitch_um, pixel, technology, "pixel.pitch_um")
     area_um2 = fill_factor * pixel.pitch_um**2
     factor = number_of(pixel, technology, "reset_noise_factor")
     named = ("read_noise_e", "read_noise_after_gain_e", "reset_noise_factor")
