@@ -195,8 +195,7 @@ def warnings_of_skies(state: Tree, variant: str) -> list[str]:
     texts = []
     for _, node in nodes_of(state, "Emitter"):
         if node.plugin == "sunsky":
-            values = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in plain(node)}
-            simple = {name: value for name, value in values.items() if isinstance(value, int | float | list)}
+            simple = {name: value for name, value in plain(node) if isinstance(value, int | float | list)}
             texts += [f"{node.plugin}: {text}" for text in warnings_of({"type": node.plugin} | simple, variant)]
     return texts
 
@@ -428,7 +427,6 @@ def _metal(state: Tree, node: Node, variant: str, span: Span) -> list[Array]:
     return [np.nan_to_num(evaluate_reflection(described, cosine, variant, span), nan=1.0) for cosine in METAL_COSINES]
 
 
-MIN_VOLUME = 1e-200  # of a transformed unit cube
 FLAT = ("rectangle", "disk")
 PARALLEL = 1e-6  # sine of the largest angle between the normals of parallel planes
 IN_FRONT_M = 1e-9
@@ -469,19 +467,7 @@ class Body:
 
 
 def matrix_of(node: Node, name: str = "to_world") -> Array:
-    if name not in node:
-        return np.eye(4)
-    if "Transform" not in node.kind_of(name):
-        raise invalid(f"{node.plugin}.{name}", node[name], "a <transform>")
-    return np.asarray(node[name], float).reshape(4, 4)
-
-
-def check_transforms(state: Tree) -> None:
-    """Raise PixsimError if a transform is singular or not finite."""
-    for node in state.nodes:
-        matrix = matrix_of(node)
-        if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3])) < MIN_VOLUME:
-            raise invalid(f"{node.plugin}.to_world", matrix.tolist(), "a finite, invertible transform")
+    return np.array(node[name]) if name in node else np.eye(4)
 
 
 def find_bodies(state: Tree, sensor: Node) -> list[Body]:
@@ -496,8 +482,6 @@ def find_bodies(state: Tree, sensor: Node) -> list[Body]:
             continue
         if plugin == "instance":
             group = next(iter(children(node, state).values()), None)
-            if group is None:
-                raise invalid("shape of type instance", "none in it", "a reference to a shape of type shapegroup")
             parts = [child for child, owner in members.items() if owner == group]
             boxes = [_box(state.nodes[part]) for part in parts if state.nodes[part].kind == "Shape"]
             known = [box for box in boxes if box is not None]

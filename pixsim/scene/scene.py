@@ -10,8 +10,6 @@ from functools import lru_cache, partial
 from itertools import chain
 from pathlib import Path
 
-import numpy as np
-
 from pixsim.base import caller
 from pixsim.base.bounds import LARGEST, SMALLEST, brief
 from pixsim.base.door import checked_methods
@@ -25,7 +23,7 @@ from pixsim.optics.camera import Camera, CameraOptions, values_of_lens_geometry
 from pixsim.optics.camera_lens import camera_with_lens
 from pixsim.optics.lens_options import LensOptions
 from pixsim.scene import charts
-from pixsim.scene.contents import Beyond, check_textures, check_transforms, find_lamp, find_lamps, is_neutral, named_files, white_of
+from pixsim.scene.contents import Beyond, check_textures, find_lamp, find_lamps, is_neutral, named_files, white_of
 from pixsim.scene.film import FILM_ROUNDING
 from pixsim.scene.guard.files import ASSETS
 from pixsim.scene.guard.inspector import REASONS, SceneText, open_scene
@@ -344,7 +342,6 @@ def load_scene(
     film_size(state, sensor_of_scene)
     sample_count(state, sensor_of_scene)
     check_supported(state)
-    check_transforms(state)
     check_textures(state)
 
     # Parameters that scale it
@@ -603,9 +600,4 @@ def hash_of_tree(state: Tree) -> str:
 
 def in_full(value: object) -> str:
     """Return a property with all its digits."""
-    match value:
-        case SpectrumTable():
-            return f"{value.wavelengths} {value.values}"
-        case np.ndarray():
-            return str(value.tolist())
-    return str(value)
+    return f"{value.wavelengths} {value.values}" if isinstance(value, SpectrumTable) else str(value)

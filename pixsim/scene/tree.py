@@ -9,10 +9,8 @@ from graphlib import CycleError, TopologicalSorter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from pixsim.base import cache
-from pixsim.base.arrays import Array
 from pixsim.base.bounds import LARGEST
 from pixsim.base.errors import PixsimError, did_you_mean, invalid, quoted
 from pixsim.base.records import content_hash
@@ -27,6 +25,7 @@ if TYPE_CHECKING:
 REFERENCES = ("ResolvedReference", "Reference", "Object")  # kinds of properties that are other nodes
 MAX_TEXT = 1 << 20  # characters of a scene whose tree is kept
 MAX_NESTED = 24  # references within references
+MIN_VOLUME = 1e-200  # of a transformed unit cube
 LIKELY_NM = (150.0, 3000.0)  # of a table: one whose numbers are so in another unit, and not in nm, has that unit
 MAX_SMALL, SMALL_TREES = 1 << 16, 32  # characters of a scene whose tree stays in memory, and how many do
 
@@ -46,7 +45,7 @@ class SpectrumTable:
 class Property(NamedTuple):
     """A property: its kind, as Float, its value, and the text of a colour, as Mitsuba writes it.
 
-    value : (4, 4) of a transform, the index of a node or its id for a reference; None for what has no value in Python
+    value : rows of a transform, the index of a node or its id for a reference; None for what has no value in Python
     """
 
     kind: str
@@ -145,16 +144,16 @@ def tree_of(state: ParserState) -> Tree:
     """Return the tree of Mitsuba's parser state."""
     nodes = []
     for node in state.nodes:
-        own = {name: _property(node.props, name) for name in node.props.keys()}  # noqa: SIM118
-        nodes.append(Node(node.type.name, node.props.plugin_name(), node.props.id(), own))
+        properties = {name: _property(node.props, name) for name in node.props.keys()}  # noqa: SIM118
+        nodes.append(Node(node.type.name, node.props.plugin_name(), node.props.id(), properties))
     return Tree(nodes, {str(name): int(index) for name, index in dict(state.id_to_index).items()})
 
 
 def check_tree(tree: Tree) -> Tree:
     """Return a tree, checked for what Mitsuba would take as it is.
 
-    Raises PixsimError for numbers that are NaN or above 1e30, for tables of spectra in another unit than nm, and for references
-    that are circular or deep, which Mitsuba would follow without limit.
+    Raises PixsimError for numbers that are NaN or above 1e30, for transforms that cannot be inverted, for tables of spectra in
+    another unit than nm, and for references that are circular or deep, which Mitsuba would follow without limit.
     """
     for node in tree.nodes:
         for name, (kind, value, _) in node.properties.items():
@@ -165,10 +164,13 @@ def check_tree(tree: Tree) -> Tree:
                     _check_unit(what, value.wavelengths)
             elif kind in ("Float", "Integer", "Vector", "Transform"):
                 values = np.array(value, float)
+                if kind == "Transform" and abs(np.linalg.det(values[:3, :3])) < MIN_VOLUME:
+                    raise invalid(what, value, "an invertible transform")
             elif kind == "Color":
                 values = np.array(numbers(node.text_of(name)))
             else:
                 continue
+
             wrong = values[~(np.abs(values) <= LARGEST)]
             if wrong.size:
                 raise invalid(what, f"{wrong[0]:g}", f"numbers from {-LARGEST:g} to {LARGEST:g}")
@@ -204,47 +206,38 @@ def _property(props: mitsuba.Properties, name: str) -> Property:
 
 
 def _plain(kind: str, value: Any) -> Any:
-    """Return the value of a property of a kind, from Mitsuba's or from JSON."""
-    is_json = isinstance(value, list | dict | str | int)
+    """Return the value of a property of Mitsuba's as plain Python."""
     match kind:
         case "Transform":
-            return _fixed(value if is_json else value.matrix)
+            return np.array(value.matrix, float).tolist()
         case "Vector" | "Color":
-            return _fixed(value)
+            return np.array(value, float).tolist()
         case "Spectrum":
-            return (
-                SpectrumTable(**value)
-                if is_json
-                else SpectrumTable(list(value.wavelengths), list(value.values), value.is_uniform())
-            )
+            return SpectrumTable(list(value.wavelengths), list(value.values), value.is_uniform())
         case "Reference":
-            return value if is_json else value.id()
+            return value.id()
         case "ResolvedReference":
-            return value if is_json else value.index()
+            return value.index()
     return value
 
 
-def _fixed(numbers: ArrayLike) -> Array:
-    """Return an array that is not to be changed: many ask for the same tree."""
-    array = np.array(numbers, float)
-    array.setflags(write=False)
-    return array
-
-
 def _to_json(tree: Tree) -> dict[str, Any]:
-    def written(value: object) -> object:
-        return value.tolist() if isinstance(value, np.ndarray) else vars(value) if isinstance(value, SpectrumTable) else value
-
     nodes = []
     for node in tree.nodes:
-        entries = [[name, kind, written(value), text] for name, (kind, value, text) in node.properties.items()]
+        entries = [
+            [name, kind, vars(value) if isinstance(value, SpectrumTable) else value, text]
+            for name, (kind, value, text) in node.properties.items()
+        ]
         nodes.append([node.kind, node.plugin, node.id, entries])
     return {"nodes": nodes, "ids": tree.id_to_index}
 
 
 def _from_json(content: dict[str, Any]) -> Tree:
     nodes = []
-    for kind, plugin, name, entries in content["nodes"]:
-        own = {key: Property(of, None if value is None else _plain(of, value), text) for key, of, value, text in entries}
-        nodes.append(Node(kind, plugin, name, own))
+    for node_kind, plugin, identifier, entries in content["nodes"]:
+        properties = {
+            name: Property(kind, SpectrumTable(**value) if kind == "Spectrum" else value, text)
+            for name, kind, value, text in entries
+        }
+        nodes.append(Node(node_kind, plugin, identifier, properties))
     return Tree(nodes, dict(content["ids"]))

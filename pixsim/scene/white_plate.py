@@ -7,7 +7,6 @@ scene's lamps and by what its surfaces reflect. It is so small that the rest of 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,9 +15,6 @@ from pixsim.base.caller import setting
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.scene.contents import FLAT, matrix_of
 from pixsim.scene.tree import Node, Tree, nodes_of
-
-if TYPE_CHECKING:
-    pass
 
 # Of the object's distance: how far before the plane in focus it stands, so that a chart in that plane does not cover it; half of
 # its side, so that surfaces at up to 60° behind it do not cut it; and half of what is seen of it.

@@ -278,7 +278,7 @@ def test_for_camera_chart_fills_view():
     assert sensor["aperture_radius"] == pytest.approx(0.0015)
     assert sensor["focus_distance"] == pytest.approx(2.5)
     plane = next(node for node in state.nodes if node.plugin == "rectangle")
-    half_width_m = abs(plane["to_world"][0, 0])
+    half_width_m = abs(plane["to_world"][0][0])
     assert half_width_m == pytest.approx(2.5 * np.tan(np.radians(camera.fov_deg / 2)), rel=1e-6)
 
 

@@ -39,8 +39,8 @@ OF_MITSUBA = {"Transform": lambda one: one.matrix, "Reference": lambda one: one.
 def agree(mine: Any, theirs: Any) -> bool:
     """Return whether a plain value equals Mitsuba's, bit for bit."""
     match mine:
-        case np.ndarray():
-            return np.array_equal(mine, np.array(theirs))
+        case list():
+            return np.array_equal(np.array(mine), np.array(theirs))
         case SpectrumTable():
             same = (mine.wavelengths, mine.values) == (list(theirs.wavelengths), list(theirs.values))
             return same and mine.uniform == theirs.is_uniform()
