@@ -31,7 +31,6 @@ from pixsim.report.verdicts import (
     common_words,
     doubts,
     draw_differences,
-    label_rows,
     mean_words,
     notes,
     over_cases,
@@ -92,10 +91,6 @@ from pixsim.viewer.setting import Run
 JSON_FILE = "compare.json"
 SCORES = "scores"
 FIGURE_WIDTH_IN, FIGURE_BORDER_IN, ROW_IN = 6.0, 0.8, 0.4
-SCORES_CAPTION = (
-    "The first metric of each frame of each sensor (grey), with the mean and its 95 % interval; with axes, the difference of each "
-    "later sensor from the first at each of their values. The film's error is not in it."
-)
 
 
 def _cost_of(job: ComparisonJob) -> Cost:
@@ -302,36 +297,31 @@ def _sensors_table(result: Comparison, metric: Metric) -> DocumentTable:
     return DocumentTable("sensors", head, rows, words=(2,), stacks=True, wide=len(numbers))
 
 
-@figure(SCORES, SCORES_CAPTION)
+@figure(
+    SCORES,
+    "Difference of the first metric of each later sensor from that of the first one, with its 95 % interval, at each value of the "
+    "axes. The film's error is not in it. The table has each frame.",
+)
 def scores_plate(result: Comparison) -> Drawing:
-    """Draw the first metric of each frame of each sensor; with axes, the differences at each of their values.
+    """Draw the differences of the later sensors from the first one by the first metric.
 
     Its table has the number of each frame, under conditions their weighted mean.
     """
     metric = asked_metrics(result.job)[0]
-    label = literal("mean ΔE" if metric.is_delta_e else metric.title)
-    several = len(result.cases) > 1
-    drawing = new_figure(FIGURE_WIDTH_IN, FIGURE_BORDER_IN + ROW_IN * len(result.cases if several else result.names))
-    axes = drawing.add_subplot()
     frames: list[dict[str, Any]] = []
+    pairs: dict[str, Pairs] = {}
     for case in result.cases:
-        for row, name in enumerate(result.names):
-            values = case.frames(name, metric)
-            places = {"case": case.case.words, "sensor": name}
-            frames += [places | {"repeat": repeat, metric.columns[0]: value} for repeat, value in enumerate(values.tolist())]
-            if not several:
-                low, mean, high = mean_interval(values)
-                axes.plot(values, np.full(values.size, row), "o", color="tab:gray", alpha=0.5, markersize=4)
-                axes.errorbar([mean], [row], xerr=[[mean - low], [high - mean]], fmt="D", color=f"C{row}", capsize=5, markersize=5)
-    if several:
+        for name in result.names:
+            for repeat, value in enumerate(case.frames(name, metric).tolist()):
+                frames.append({"case": case.case.words, "sensor": name, "repeat": repeat, metric.columns[0]: value})
         for other in result.names[1:]:
-            pairs = [case.pairs(other, metric) for case in result.cases]
-            draw_differences(axes, pairs, [case.case.words or BASE for case in result.cases])
-        axes.set_xlabel(f"{label} above that of {literal(result.names[0])}, with its 95 % interval")
-    else:
-        label_rows(axes, result.names)
-        axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
-        axes.set_xlabel(f"{label}: each frame (grey), and the mean with its 95 % interval")
+            pairs[", ".join(filter(None, (case.case.words, other)))] = case.pairs(other, metric)
+
+    drawing = new_figure(FIGURE_WIDTH_IN, FIGURE_BORDER_IN + ROW_IN * len(pairs))
+    axes = drawing.add_subplot()
+    draw_differences(axes, list(pairs.values()), list(pairs))
+    label = "mean ΔE" if metric.is_delta_e else metric.title
+    axes.set_xlabel(literal(f"{label} above that of {result.names[0]}"))
     return drawing, columns_of(frames)
 
 

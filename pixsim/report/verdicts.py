@@ -79,11 +79,6 @@ def draw_differences(axes: Axes, pairs: Sequence[Pairs], labels: Sequence[str]) 
     halves = [pair.half_width if pair.a.size >= FEWEST_PAIRS else 0.0 for pair in pairs]
     axes.errorbar([pair.difference for pair in pairs], range(len(pairs)), xerr=halves, fmt="D", capsize=4)
     axes.axvline(0.0, color="0.5", lw=0.8)
-    label_rows(axes, labels)
-
-
-def label_rows(axes: Axes, labels: Sequence[str]) -> None:
-    """Name the rows of a figure, the first one on top."""
     axes.set_yticks(range(len(labels)), [literal(label) for label in labels])
     axes.set_ylim(len(labels) - 0.5, -0.5)
 
