@@ -246,17 +246,10 @@ class Develop(Record):
     @property
     def words(self) -> str:
         """What is on for frames of all kinds, for a headline; empty where they are shown as they are."""
-        strength = f" of strength {self.denoise_strength:g}" if self.adapts and self.denoise_strength != 1 else ""
-        radius = (
-            f"{self.sharpen_radius_px or 1.0:g} px"
-            if self.sharpen_radius_cy_per_deg is None
-            else f"{self.sharpen_radius_cy_per_deg:g} cy/deg"
-        )
-        tone = {"gamma": f"gamma {self.tone_gamma:g}", "reinhard": f"reinhard to {self.tone_white:g} × white"}
-        curve = "of a table" if not isinstance(self.tone_curve, str) else tone.get(self.tone_curve, self.tone_curve)
+        curve = self.tone_curve if isinstance(self.tone_curve, str) else "of a table"
         parts = (
-            f"denoised ({self.denoiser}{strength})" if self.denoises else "",
-            f"sharpened by {self.sharpen_amount:g} at {radius}" if self.sharpens else "",
+            f"denoised ({self.denoiser})" if self.denoises else "",
+            "sharpened" if self.sharpens else "",
             f"tone curve {curve}" if self.tone else "",
         )
         return ", ".join(filter(None, parts))

@@ -61,19 +61,10 @@ def test_pitch_for_five_percent_scales_with_process(name, pitch_um):
 def test_derive_smallest_pitch_raises(technology):
     smallest = pixels.smallest_pitch_um(load_technology(technology))
     for pitch in (0.1, smallest, math.nextafter(smallest, math.inf)):
-        with pytest.raises(
-            PixsimError, match=rf"pixel\.pitch_um: got .*{smallest:.4g}.*transistors"
-        ):
+        with pytest.raises(PixsimError, match=rf"pixel\.pitch_um: got .*{smallest:.4g}.*transistors"):
             pixels.derive(Pixel(technology=technology, pitch_um=pitch))
     # With a PRNU of its own, since that of an area would be 500 there.
     assert 0 < pixels.derive(Pixel(technology=technology, pitch_um=smallest * (1 + 1e-9), prnu=0.01)).fill_factor < 1e-8
-
-
-def test_derive_small_fill_factor_limit_gives_reachable_hint(monkeypatch):
-    crowded = load_technology("0.35um").model_copy(update={"fill_factor_limit": 0.04})
-    monkeypatch.setattr("pixsim.sensor.pixel.load_technology", lambda _: crowded)
-    with pytest.raises(PixsimError, match="transistors"):
-        pixels.derive(Pixel(pitch_um=1.0))
 
 
 @pytest.mark.parametrize("fill_factor", [0.0, -0.1, 0.826, 1.0])

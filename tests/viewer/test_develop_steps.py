@@ -497,7 +497,7 @@ def test_axis_over_the_development_of_a_study_shares_its_frames(tmp_path: Any) -
     found = {tuple(curve.at.values()): curve for curve in result.curves}
     least = {at: float(curve.mean().min()) for at, curve in found.items()}
     assert len(set(least.values())) == 4
-    assert "denoised (wavelet), sharpened by 0.5 at 1 px, tone curve reinhard" in found[1.0, "reinhard"].case.developed
+    assert "denoised (wavelet), sharpened, tone curve reinhard" in found[1.0, "reinhard"].case.developed
     assert 'denoise = "wavelet"' in settings_text(plan, "study")
 
 
