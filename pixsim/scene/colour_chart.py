@@ -9,10 +9,8 @@ from __future__ import annotations
 
 import math
 import os
-import re
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
@@ -107,23 +105,6 @@ PROJECTOR = """
     </emitter>"""
 
 
-@dataclass(frozen=True)
-class Modulation:
-    """A change of colour around the grey of half the white, in the light of the primaries R, G and B, 1 for white.
-
-    shares : (3,) change of each primary over that of the one that changes most
-    xyz : (3,) change of XYZ for `shares`, relative to white's Y
-    """
-
-    shares: Array
-    xyz: Array
-
-    @property
-    def contrasts(self) -> Array:
-        """Michelson contrast of each slide where that of the chart is largest, (3,); negative where it falls as the first rises."""
-        return self.shares * float(csf_contrast(1.0))
-
-
 @lru_cache
 def primaries() -> tuple[Array, Array]:
     """Return wavelengths in nm, (B,), and the radiance of the primaries at full power, (B, 3) W m⁻² sr⁻¹ nm⁻¹.
@@ -145,11 +126,13 @@ def primaries_xyz() -> Array:
     return xyz / xyz[1].sum()
 
 
-def modulation(change_xyz: ArrayLike) -> Modulation:
-    """Return the modulation of the primaries along a change of XYZ (3,) that is not 0, in any unit, whose sign counts."""
+def modulation(change_xyz: ArrayLike) -> Array:
+    """Return the change of each primary, over that of the one that changes most, along a change of XYZ (3,); both (3,).
+
+    change_xyz : not 0, in any unit; its sign counts
+    """
     shares = np.linalg.solve(primaries_xyz(), np.asarray(change_xyz, float))
-    shares /= np.abs(shares).max()
-    return Modulation(shares, primaries_xyz() @ shares)
+    return np.asarray(shares / np.abs(shares).max())
 
 
 def slide(share: float, grey: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -159,7 +142,7 @@ def slide(share: float, grey: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def write_colour_chart(
     path: str | os.PathLike[str],
-    change: Modulation,
+    shares: Array,
     title: str,
     width: Side | None = None,
     height: Side | None = None,
@@ -168,8 +151,8 @@ def write_colour_chart(
     """Write the CSF chart as a scene, `path`, with a slide of each primary beside it, and return the paths of the slides.
 
     path : ends in .xml
-    change : of colour where the grey chart changes luminance
-    title : of the scene, a comment in it
+    shares : change of each primary where the grey chart changes luminance (`modulation`)
+    title : of the scene, a comment in it: without two hyphens together
     width, height, die_mm : of `make_chart`
 
     Raises PixsimError for another ending, a name that Mitsuba would read as a parameter, a size outside 2 to 32768 texels, and
@@ -200,12 +183,11 @@ def write_colour_chart(
         for name, file, intensity in zip(PRIMARIES, slides, intensities.T, strict=True)
     ]
     white = {"white_cd_per_m2": LUMINANCE_CD_PER_M2[1], "white_lamps": ", ".join(PRIMARIES)}
-    comment = re.sub("--+", "-", title)  # two hyphens would end it
-    text = SCENE.format(title=comment, **white, projectors="\n".join(projectors))
+    text = SCENE.format(title=title, **white, projectors="\n".join(projectors))
     try:
         with ExitStack() as files:  # all are finished before the first one moves; the scene, the first one here, moves last
             files.enter_context(replacing(path)).write_bytes(text.encode("ascii", "xmlcharrefreplace"))
-            for share, file in zip(change.shares.tolist(), slides, strict=True):
+            for share, file in zip(shares.tolist(), slides, strict=True):
                 fill_channels(files.enter_context(writing(file, named=False)), {"Y": slide(share, grey)}, {})
     except OSError as error:
         raise invalid("output file", f"'{path}' ({error.strerror or error})", "a path that can be written") from None
@@ -219,11 +201,12 @@ def write_colour_axis(axis: str, output: Path, width: int | None, height: int | 
     """
     # The channels are positive for green and for blue.
     channel, sign = {"red-green": (1, -1), "blue-yellow": (2, 1)}[axis]
-    change = modulation(sign * XYZ_FROM_OPPONENT[:, channel])
+    shares = modulation(sign * XYZ_FROM_OPPONENT[:, channel])
     title = f"The contrast-sensitivity chart of Chen et al. (2000), {axis} at constant luminance."
-    slides = write_colour_chart(output, change, title, width, height, die_mm)
-    contrasts = dict(zip(PRIMARIES, change.contrasts.tolist(), strict=True))
-    opponent = OPPONENT_FROM_XYZ @ (change.xyz * MEAN * max(map(abs, contrasts.values())))
+    slides = write_colour_chart(output, shares, title, width, height, die_mm)
+    # Michelson contrast of each slide where that of the chart is largest; negative where it falls as the first rises
+    contrasts = dict(zip(PRIMARIES, (shares * float(csf_contrast(1.0))).tolist(), strict=True))
+    opponent = OPPONENT_FROM_XYZ @ (primaries_xyz() @ shares * MEAN * max(map(abs, contrasts.values())))
     white = OPPONENT_FROM_XYZ[0] @ primaries_xyz().sum(axis=1)
     result = {"file": str(output), "kind": "csf", "colour_axis": axis, "slides": [path.name for path in slides]}
     return {**result, "contrasts": contrasts, "opponent_amplitude": abs(float(opponent[channel] / white))}
