@@ -374,7 +374,7 @@ def _plan_of(
     scene_spp = sample_count(state, inspection.sensor)
     given_spp = "spp" in scene.parameters
     finer = (inspection.shape[1] / max(1, film_size(state, inspection.sensor)[1])) ** 2
-    spp, sampler, samples = rules.decide_samples(chart, scene_spp, passes, tolerance_e, full, given_spp, finer)
+    spp, sampler, samples = rules.decide_samples(chart, scene_spp, passes, full, given_spp, finer)
 
     # Film. What is left out does not change where the scene ends.
     sharp = rules.decide_lens(state, thin_camera, bodies, inspection.aspect, None, tolerance_e, False)[0] if full else lens

@@ -1,6 +1,6 @@
 """Decide from the scene's tree what a render can leave out: bounces, lens samples, texture samples, diffraction.
 
-A chart that fills the film is the picture itself, so the error is computed from its texels before rendering.
+A chart that fills the film is the picture itself, so that its texels tell what diffraction changes before rendering.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, wraps
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 # Sample counts, besides 1 and 2, for which pictures are the same bit for bit on any number of threads.
 SAMPLE_COUNTS = (4, 16, 64, 256, 1024)
 ROUNDED_DOWN = 1.5  # to a sample count that is smaller by this factor at most
-TRIED_CELLS = 1024  # random cells on which sampling is tested
-REFERENCE_SAMPLES = 16  # along each side of a cell
 TRIED_SIDE = 512  # samples of a part of the film, where a chart that diffraction changes shows it
 BORDER = 64  # samples of a part that reflection at its sides may change
 RESOLVED = 0.999  # of the variance of a chart, in the frequencies that a film has to resolve
@@ -110,19 +108,16 @@ class Chart:
         return float(np.ptp(self.texels)) == 0.0
 
 
-Result = TypeVar("Result", float, tuple[int, float])
-
-
-def by_content(function: Callable[..., Result]) -> Callable[..., Result]:
+def by_content(function: Callable[..., float]) -> Callable[..., float]:
     """Keep the results of a function of a chart and numbers in the cache, by the content of the chart."""
 
     @wraps(function)
-    def call(chart: Chart, *numbers: float) -> Result:
+    def call(chart: Chart, *numbers: float) -> float:
         key = content_hash([cache.version_fingerprint(), function.__name__, repr(chart.digest), numbers])
         return cache.load_or_compute(
             "charts",
             key,
-            lambda entry: tuple(entry["result"]) if isinstance(entry["result"], list) else entry["result"],
+            lambda entry: float(entry["result"]),
             lambda: function(chart, *numbers),
             lambda result: {"result": result},
         )
@@ -180,42 +175,6 @@ def _cell_weights(count: int, n: int, texels_per_sample: float, which: slice, ne
     inside = (weights != 0) & (touched < n + 2)
     rows = np.broadcast_to(np.arange(stop - first)[:, None], weights.shape)
     return csr_array((weights[inside], (rows[inside], touched[inside])), shape=(stop - first, n + 2))
-
-
-@by_content
-def samples_needed(chart: Chart, tolerance: float, most: int) -> tuple[int, float]:
-    """Return the fewest samples per film cell, at most `most`, with an RMS relative error below `tolerance`, and the error."""
-    if chart.uniform:
-        return min(SAMPLE_COUNTS[0], most), 0.0
-    for count in [count for count in SAMPLE_COUNTS if count < most]:
-        if (error := sampling_error(chart, count)) <= tolerance:
-            return count, error
-    return most, sampling_error(chart, max(1, round(most**0.5)) ** 2)
-
-
-def sampling_error(chart: Chart, spp: int, seed: int = 0) -> float:
-    """Return the RMS relative error of cell means from correlated multi-jittered samples (Kensler 2013) in random cells."""
-    rng, side = np.random.default_rng(seed), round(spp**0.5)
-    spans = zip(chart.texels.shape, chart.texels_per_sample, strict=True)
-    corner = [rng.uniform(0, max(n - size, 0.0), TRIED_CELLS) for n, size in spans]
-    grid = (np.arange(REFERENCE_SAMPLES) + 0.5) / REFERENCE_SAMPLES
-    v, u = (axis.ravel() for axis in np.meshgrid(grid, grid, indexing="ij"))
-    truth = _bilinear(chart, corner, np.broadcast_to(v, (TRIED_CELLS, v.size)), np.broadcast_to(u, (TRIED_CELLS, u.size)))
-    i, j = (axis.ravel() for axis in np.meshgrid(np.arange(side), np.arange(side), indexing="ij"))
-    down, across = (rng.permuted(np.tile(np.arange(side), (TRIED_CELLS, 1)), axis=1) for _ in range(2))
-    v = (i + (down[:, j] + rng.random((TRIED_CELLS, i.size))) / side) / side
-    u = (j + (across[:, i] + rng.random((TRIED_CELLS, i.size))) / side) / side
-    error = _bilinear(chart, corner, v, u) - truth
-    return float(np.sqrt(np.mean((error / np.maximum(truth, DARKEST * truth.max())) ** 2)))
-
-
-def _bilinear(chart: Chart, corner: list[Array], v: Array, u: Array) -> Array:
-    """Return means over samples at fractions (v, u) of cells that begin at `corner` texels, (cells,)."""
-    from scipy.ndimage import map_coordinates  # imported here, since it takes 0.05 s
-
-    places = zip(corner, (v, u), chart.texels_per_sample, strict=True)
-    at = [first[:, None] + fraction * size - 0.5 for first, fraction, size in places]
-    return np.asarray(map_coordinates(chart.texels, at, order=0 if chart.nearest else 1, mode="nearest").mean(axis=1))
 
 
 @by_content
@@ -420,7 +379,7 @@ def ends_with_film(state: Tree, camera: Camera, bodies: list[Body], shape: tuple
 
 
 def decide_samples(
-    chart: Chart | None, most: int, passes: int, tolerance_e: float, full: bool, explicit: bool, finer: float = 1.0
+    chart: Chart | None, most: int, passes: int, full: bool, explicit: bool, finer: float = 1.0
 ) -> tuple[int, str, Decision]:
     """Return the samples per film cell and pass, the sampler, and the decision.
 
@@ -443,8 +402,8 @@ def decide_samples(
         spp = next(count for count in (FEWEST_OF_A_CHART, *SAMPLE_COUNTS, most) if count >= wanted)
         reason = f"those of the scene are shared by the {finer:.3g} cells of this finer film"
     else:
-        spp, error = samples_needed(chart, tolerance_e, most)
-        reason = f"RMS error {error:.1e} for the chart's detail"
+        spp = min(SAMPLE_COUNTS[0], most) if chart.uniform else most
+        reason = "the chart is uniform" if chart.uniform else "as set in the scene"
 
     sampler = "multijitter"
     if chart is None and not full and spp < MIN_OF_A_PATH and spp <= most:
