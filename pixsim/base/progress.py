@@ -85,45 +85,42 @@ class Lines:
 
     def __init__(self, write: Callable[[str], object], clock: Callable[[], float] = time.perf_counter) -> None:
         self._write, self._clock, self._lock = write, clock, threading.Lock()
-        self._start = self._last = self._began = self._since = clock()
-        self._name, self._done, self._note = "", 0.0, ""
+        self._start_s = self._line_s = clock()
+        self._name, self._state = "", " …"
+        self._done = self._stage_s = self._part_s = 0.0
 
     def _line(self, text: str) -> None:
-        self._last = self._clock()
-        self._write(f"[{self._last - self._start:.0f} s] {text}")
+        self._line_s = self._clock()
+        self._write(f"[{self._line_s - self._start_s:.0f} s] {text}")
 
     def begin(self, name: str) -> None:
         """Begin a stage; only the first one has a line of its own, since the end of a stage is the start of the next."""
         with self._lock:
             if not self._name:
                 self._line(f"{name} …")
-            self._name, self._done, self._note, self._began = name, 0.0, "", self._clock()
-            self._since = self._began
+            self._name, self._state = name, " …"
+            self._done, self._stage_s = 0.0, self._clock()
+            self._part_s = self._stage_s
 
     def update(self, done: float, note: str = "") -> None:
-        """Take the fraction done and a text, for the next line."""
+        """Take the fraction done and a text, for the next line, which states the time left where it is sure enough."""
         if done < self._done:  # it begins again, as for a finer film
-            self._since = self._clock()
-        self._done, self._note = done, note
+            self._part_s = self._clock()
+        self._done, left = done, ""
+        if SURE <= done < 1:
+            left = f", about {float(f'{(self._clock() - self._part_s) * (1 / done - 1):.1g}'):g} s left"
+        self._state = f": {100 * done:.0f} %{left}{note}"
 
     def tick(self) -> None:
         """Write a line if the last one is five seconds old."""
         with self._lock:
-            if self._name and self._clock() - self._last >= EVERY_S:
-                self._line(self._name + (self._state() or " …"))
-
-    def _state(self) -> str:
-        """Return the fraction done, the time left if that is sure enough, and the note; nothing of a stage that reports nothing."""
-        if not (self._done or self._note):
-            return ""
-        spent = self._clock() - self._since
-        left = f", about {float(f'{spent * (1 / self._done - 1):.1g}'):g} s left" if SURE <= self._done < 1 else ""
-        return f": {100 * self._done:.0f} %{left}{self._note}"
+            if self._name and self._clock() - self._line_s >= EVERY_S:
+                self._line(self._name + self._state)
 
     def end(self) -> None:
         """End the stage."""
         with self._lock:
-            self._line(f"{self._name}: done in {float(f'{self._clock() - self._began:.2g}'):g} s")
+            self._line(f"{self._name}: done in {float(f'{self._clock() - self._stage_s:.2g}'):g} s")
 
     @contextmanager
     def ticking(self) -> Iterator[None]:
@@ -163,17 +160,12 @@ def _bars() -> Any:
     """Bars for a terminal; None elsewhere."""
     if not (sys.stderr.isatty() or any(name in os.environ for name in TERMINAL_VARIABLES)):
         return None  # without the import of Rich, which takes 0.05 s
-    from rich import progress
-    from rich.console import Console
+    from rich import console, progress
 
-    console = Console(stderr=True)
-    columns = [
-        progress.TextColumn("{task.description}", markup=False),  # names may look like markup
-        progress.BarColumn(),
-        progress.TextColumn("{task.percentage:>3.0f} %"),
-        progress.TimeRemainingColumn(),
-    ]
-    return progress.Progress(*columns, console=console, transient=True) if console.is_terminal else None
+    name = progress.TextColumn("{task.description}", markup=False)  # which may look like markup
+    columns = [name, *progress.Progress.get_default_columns()[1:]]
+    terminal = console.Console(stderr=True)
+    return progress.Progress(*columns, console=terminal, transient=True) if terminal.is_terminal else None
 
 
 @contextmanager
