@@ -7,7 +7,7 @@ import math
 import re
 import reprlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, get_args, get_origin
 
@@ -112,6 +112,20 @@ def without_bounds(annotation: str, owner: Any) -> str:
         return "Array" if get_origin(bare) is np.ndarray else "ArrayLike" if bare == ArrayLike else str(bare.__name__)
 
     return re.sub(r"(?<![.\w])[A-Z]\w+", plain, annotation)
+
+
+def parts_of(value: object) -> Iterator[object]:
+    """Yield the numbers and arrays of nested lists; what is no list is one."""
+    if isinstance(value, list | tuple):
+        for part in value:
+            yield from parts_of(part)
+    else:
+        yield value
+
+
+def is_bool(value: object) -> bool:
+    """Return whether a value is True or False, of Python or NumPy, or an array of them."""
+    return isinstance(value, bool) or getattr(getattr(value, "dtype", None), "kind", "") == "b"
 
 
 def brief(value: object) -> str:

@@ -11,12 +11,12 @@ import math
 import numbers
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, wraps
 from types import ModuleType, NoneType, UnionType
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from pixsim.base.bounds import FINITE, SMALLEST, Axes, Bounds, brief, field_bounds
+from pixsim.base.bounds import FINITE, SMALLEST, Axes, Bounds, brief, field_bounds, is_bool, parts_of
 from pixsim.base.errors import PixsimError, invalid
 
 if TYPE_CHECKING:
@@ -214,10 +214,10 @@ def _array_of(bounds: Bounds | None, axes: int | None, dtype: Any, *, is_array: 
     shaped = f"{allowed}, not empty, with {axes} {'axis' if axes == 1 else 'axes'}"
 
     def array(value: Any) -> Any:
-        parts = list(_parts(value))
+        parts = list(parts_of(value))
         if any(np.ma.is_masked(part) for part in parts):
             raise _refusal("masked values", f"{allowed}; fill them")
-        if not takes_bool and any(_is_bool(part) for part in parts):
+        if not takes_bool and any(is_bool(part) for part in parts):
             raise _refusal(brief(value), allowed)
         try:
             values = np.asarray(value)
@@ -240,22 +240,8 @@ def _array_of(bounds: Bounds | None, axes: int | None, dtype: Any, *, is_array: 
     return array
 
 
-def _parts(value: Any) -> Iterator[Any]:
-    """Yield the numbers and arrays of nested lists; what is no list is one."""
-    if isinstance(value, list | tuple):
-        for part in value:
-            yield from _parts(part)
-    else:
-        yield value
-
-
-def _is_bool(value: Any) -> bool:
-    """Return whether a value is True or False, or an array of them."""
-    return isinstance(value, bool) or getattr(getattr(value, "dtype", None), "kind", "") == "b"
-
-
 def _bool(value: Any) -> Any:
-    if not _is_bool(value) or getattr(value, "ndim", 0):
+    if not is_bool(value) or getattr(value, "shape", ()):
         raise _refusal(brief(value), "True or False")
     return value
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 
-from pixsim.base.bounds import LARGEST, SMALLEST, brief
+from pixsim.base.bounds import LARGEST, SMALLEST, brief, is_bool, parts_of
 from pixsim.base.errors import PixsimError, invalid
 from pixsim.base.layers import Layer, merge_tables
 from pixsim.base.problems import MAX_VALUE, RECORDS, explain
@@ -54,9 +54,11 @@ class Record(BaseModel, metaclass=RecordType):
     @field_validator("*", mode="before")
     @classmethod
     def _reject_bool_as_number(cls, value: object, info: ValidationInfo) -> object:
-        """Pydantic converts true to 1: `bits = true` would be a sensor of one bit."""
-        if isinstance(value, bool) and cls.model_fields[info.field_name or ""].annotation is not bool:
-            raise ValueError(f"got {value}; allowed: a number or a name")
+        """Pydantic converts true to 1, also within lists: `bits = true` would be a sensor of one bit."""
+        if cls.model_fields[info.field_name or ""].annotation is bool:
+            return value
+        for part in filter(is_bool, parts_of(value)):
+            raise ValueError(f"got {brief(part)}; allowed: a number or a name")
         return value
 
     @field_validator("*", mode="after")

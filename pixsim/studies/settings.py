@@ -195,7 +195,7 @@ SEVERAL_TECHNOLOGIES = (  # how a study varies what no axis may be named after
 
 
 def _axis_number(value: object) -> object:
-    if isinstance(value, bool) or not isinstance(value, float | int | str) or value == "":
+    if not isinstance(value, float | int | str) or value == "":
         raise ValueError(f"got {brief(value)}; allowed: a number, a name, or a table of label and set")
     if isinstance(value, str) and (fault := name_fault(value)):
         raise ValueError(f"got a name that {fault}; allowed: another name")

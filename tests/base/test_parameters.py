@@ -120,6 +120,7 @@ def test_camera_object_within_focal_length_raises(object_distance_m):
         (Camera, {"focal_length_mm": 1e300}, "focal_length_mm: got 1e+300; allowed: less than or equal to 1e+06."),
         (Pixel, {"full_well_e": 1e-300}, "full_well_e: got 1e-300; allowed: greater than or equal to 1."),
         (Pixel, {"bits": True}, "bits: got True; allowed: a number or a name."),
+        (Pixel, {"quantum_efficiency": [[400, True], [700, 0.5]]}, "quantum_efficiency: got True; allowed: a number or a name."),
         (Run, {"pixel": {"prnu": 1e9}}, "pixel.prnu: got 1000000000.0; allowed: less than or equal to 0.3."),
     ],
 )
