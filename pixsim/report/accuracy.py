@@ -27,7 +27,6 @@ def accuracy_document(accuracy: Accuracy) -> Document:
     header = accuracy.header
     made = f"{header['scene']} (hash {header['scene_hash']}), {header['variant']}, in {accuracy.seconds:.0f} s."
     failed = [case for case in accuracy.cases if not case.passed]
-    passed = [case for case in accuracy.cases if case.passed]
     return Document(
         command="accuracy",
         kind="accuracy and run time",
@@ -38,7 +37,6 @@ def accuracy_document(accuracy: Accuracy) -> Document:
         sections=(
             Section("failed", "Extreme cases that fail", [cases_table(failed)] if failed else (), brief=True),
             Section("ladder", "Films", (ladder_table(accuracy), "The last one is that of the default settings."), brief=True),
-            Section("passed", "Extreme cases that meet their known answers", (cases_table(passed),), folded=True),
             Section("made", "How this was computed", (made,), folded=True),
         ),
         files={"ladder.csv": ladder_csv(accuracy), "stability.csv": rows_csv([plain(case.as_dict()) for case in accuracy.cases])},

@@ -14,7 +14,6 @@ from pixsim.base.digits import interval, pixel_size, with_error
 from pixsim.base.tables import Column, table_csv
 from pixsim.report.regret import regrets_data
 from pixsim.report.score import shown_mean
-from pixsim.report.wording import is_partly_filled
 from pixsim.show.document import Answer, Document, DocumentTable, Plot, Strong, Text, has_room, headline, joined, plain_text
 from pixsim.show.figures import LOOKS, Look, fix_margins, literal, new_figure
 from pixsim.show.pages import Drawing, figure
@@ -77,15 +76,13 @@ def best_value_words(curve: Curve) -> str:
 
 def optima_table(curves: Sequence[Curve]) -> DocumentTable:
     """Return the optimum of each curve, as a page and a notebook list them."""
-    partly = any(map(is_partly_filled, curves))
     rows = []
     for curve in curves:
         best = curve.optimum
         size = f"{best.pitch_um:.2f}" if best.inside else f"none; least at {best.pitch_um:.2f}, the end of the sizes"
         value = best_value_words(curve).removeprefix(f"{curve.metric.words} ")
-        row = [curve.label, size, interval_words(curve), value, interval(best.within_1_percent_um)]
-        rows.append((*row, *[f"{100 * curve.optimum_fill_factor:.0f}"] * partly))
-    head = ["pixel", "optimum (µm)", "95 % interval", curves[0].metric.words, "within 1 % of it", *["fill factor (%)"] * partly]
+        rows.append((curve.label, size, interval_words(curve), value, interval(best.within_1_percent_um)))
+    head = ("pixel", "optimum (µm)", "95 % interval", curves[0].metric.words, "within 1 % of it")
     return DocumentTable("optima", head, rows, words=None)
 
 

@@ -1,66 +1,15 @@
-"""Figures 2 and 6 of Chen, Catrysse, El Gamal and Wandell (2000), computed by pixsim."""
+"""Figure 6 of Chen, Catrysse, El Gamal and Wandell (2000), computed by pixsim."""
 
 from __future__ import annotations
 
 import numpy as np
 import scipy  # whose parts are imported when they are used
 
-from pixsim.base.arrays import Array
-from pixsim.report.panels import MARKED_LINE, Line, LinePanel, draw_panels
 from pixsim.report.pictures import picture_axes
 from pixsim.show.figures import ISO_SMOOTHING_DOTS, LEGEND_LINE, LOOKS, label_axes, new_figure
 from pixsim.show.pages import Drawing, figure
-from pixsim.studies.claims import (
-    FIGURE_2B_PITCHES_UM,
-    FIGURE_6_PITCHES_UM,
-    REFERENCE_TECHNOLOGY,
-    Evidence,
-    dr_and_snr_db,
-    reference_process,
-)
-from pixsim.studies.merit import extent, system_mtf
-from pixsim.studies.result import StudyResult
-
-PAPER_PLATES = ("figure_2a_dr_snr", "figure_2b_mtf", "figure_6_iso_delta_e")
-SIX_UM_NYQUIST_CY_PER_MM = 1e3 / (2 * 6.0)
-
-
-@figure(
-    "figure_2a_dr_snr",
-    "Figure 2a: dynamic range and SNR at 20 % of the well against pixel size. Equations (1) and (2), 0.35 µm, 30 ms, with both "
-    "capacitances.",
-)
-def figure_2a(result: StudyResult) -> Drawing:
-    """Plot DR and SNR at 20 % of the well against pitch, at 30 ms, for both capacitances."""
-    pitch_um, process = np.geomspace(5.3, 15.0, 40), reference_process(result.study)
-    table: dict[str, Array] = {"pitch_um": pitch_um}
-    lines = []
-    for capacitance in ("paper", "mosis"):
-        for name, db in zip(("DR", "SNR"), dr_and_snr_db(pitch_um, capacitance, process), strict=True):
-            column = f"{name.lower()}_{capacitance}_db"
-            table[column] = db
-            lines.append(Line("pitch_um", column, f"{name}, capacitance '{capacitance}'", MARKED_LINE))
-    return draw_panels(table, [LinePanel("pixel size (µm)", "DR, and SNR at 20 % well (dB)", lines)])
-
-
-@figure(
-    "figure_2b_mtf",
-    "Figure 2b: MTF of four pixel sizes from the scene to the sensor, white-light diffraction times the photodiode's sinc. "
-    "The photodiode is smaller than the pixel (fill factor), so it blurs less than the pitch "
-    "suggests.",
-)
-def figure_2b(result: StudyResult) -> Drawing:
-    """Plot the system MTF of four pixels."""
-    relative = np.linspace(0.0, 1.0, 101)
-    frequency = relative * SIX_UM_NYQUIST_CY_PER_MM
-    table: dict[str, Array] = {"frequency_over_6um_nyquist": relative, "frequency_lp_per_mm": frequency}
-    lines = []
-    for pitch_um in FIGURE_2B_PITCHES_UM:
-        column = f"mtf_{pitch_um:g}um"
-        table[column] = system_mtf(result, result.physics(REFERENCE_TECHNOLOGY, pitch_um), frequency)
-        lines.append(Line("frequency_over_6um_nyquist", column, f"{pitch_um:g} µm", MARKED_LINE))
-    x = "frequency over the Nyquist frequency of 6 µm pixels (83.3 lp/mm)"
-    return draw_panels(table, [LinePanel(x, "MTF: contrast over the scene's", lines, axes={"ylim": (0, 1)})])
+from pixsim.studies.claims import FIGURE_6_PITCHES_UM, Evidence
+from pixsim.studies.merit import extent
 
 
 @figure(
@@ -99,6 +48,3 @@ def figure_6(evidence: Evidence) -> Drawing:
         "frequency_lp_per_mm": evidence.frequency_lp_per_mm(x_mm / width_mm),
         "contrast": evidence.contrast(y_mm / height_mm),
     }
-
-
-SCENE_FIGURES = (figure_2a, figure_2b)  # of the pixels

@@ -25,7 +25,6 @@ from pixsim.report.score import judged_by_delta_e, score_plate, shown_mean
 from pixsim.report.settings import UNSTATED, scene_rows, settings_blocks, settings_tables
 from pixsim.report.wording import (
     DELTA_E as DELTA_E_WORDS,
-    FILLED,
     film_words,
     lens_words,
     rendered_words,
@@ -475,10 +474,10 @@ def _numbers(result: RunResult) -> Iterator[tuple[str, str]]:
 
     statistics = result.statistics[0]
     for name in shown_statistics(result):
-        is_filled = name == "fill_factor" and physics.technology.name == NO_TECHNOLOGY and statistics[name] > FILLED
-        if name in MEANINGS and not is_filled:  # of a data sheet, which states none
-            value = statistics[name]
-            yield MEANINGS[name], estimate(value) if name.endswith("_delta_e") else rounded(value, 4)
+        if name in MEANINGS:
+            value = estimate(statistics[name]) if name.endswith("_delta_e") else rounded(statistics[name], 4)
+            if name != "fill_factor" or value != "1":  # a data sheet gives the numbers of the whole pixel
+                yield MEANINGS[name], value
 
     imaging, path_um = result.chain.imaging, result.chain.moving.longest_um
     frequency_lp_per_mm, name, sensor_terms, display_terms = detail_terms(imaging, result.irradiance, path_um)

@@ -24,7 +24,7 @@ from pixsim.report.curve import (
 )
 from pixsim.report.neq import NEQ, neq_against_frequency
 from pixsim.report.noise_budget import NAME, budgets_section
-from pixsim.report.paper import PAPER_PLATES, SCENE_FIGURES, figure_6
+from pixsim.report.paper import figure_6
 from pixsim.report.pictures import size_words
 from pixsim.report.regret import REGRETS, metrics_against_pitch, regrets_plate
 from pixsim.report.settings import UNSTATED, record_rows, scene_rows, settings_blocks, settings_table, settings_tables
@@ -193,14 +193,12 @@ class StudyDrawing:
     """A thread that draws the figures of a study: those that follow from its light alone while workers evaluate.
 
     figures : "pdf" draws a PDF beside each SVG
-    scene : the paper's figures of pixels, if they are begun
     sizes : pitch -> maps of the paper's pixel sizes, if they are begun
     """
 
     def __init__(self, thread: ThreadPoolExecutor, figures: Figures) -> None:
         self._thread = thread
         self.figures = figures
-        self.scene: list[Plot] = []
         self.sizes: dict[float, Future[SizeMaps]] = {}
 
     def begin(self, study: StudyResult) -> None:
@@ -211,7 +209,6 @@ class StudyDrawing:
         self._thread.submit(prepare_to_draw)
         self._thread.submit(html, Document("study", "", "", {}))  # which compiles the templates
         if study.study.paper:
-            self.scene = [self.plot(draw, study) for draw in SCENE_FIGURES]
             self.sizes = {pitch_um: self._thread.submit(size_maps, study, pitch_um) for pitch_um in FIGURE_6_PITCHES_UM}
 
     def plot(self, draw: Callable[P, Plate], *args: P.args, **options: P.kwargs) -> Plot:
@@ -279,7 +276,7 @@ def report_files(study: Study) -> set[str]:
     labels = [file_label(label) for label in labels_of(study.technologies)]
     plates = {"delta_e_against_pitch", "delta_e_against_pitch_all", "optimum_against_technology", "light_against_detail"}
     plates |= {REGRETS, "metrics", NEQ}
-    plates |= set(PAPER_PLATES) if study.paper else set()
+    plates |= {"figure_6_iso_delta_e"} if study.paper else set()
     plates |= {NAME} if study.noise_budget else set()
     sheets = (f"figures/contact_sheet_{label}.png" for label in labels)
     return {"report.html", "summary.json", SETTINGS_FILE, *figure_files(plates), *sheets}
@@ -367,7 +364,6 @@ def study_page(
     begun = drawing.begun_sizes()
     first, *curves = [drawing.plot(draw) for draw in curve_figures(result, reference)]
     limits = drawing.plot(light_against_detail, result, reference)
-    scene = drawing.scene or [drawing.plot(draw, result) for draw in SCENE_FIGURES if paper]
     if workers.jobs == 1:  # nothing else computes meanwhile
         drawing.wait()
 
@@ -375,7 +371,7 @@ def study_page(
     views, sizes = pictures_of_workers(result, workers, sizes_um)
     evidence = Evidence(result, by_name, sizes | {pitch_um: maps.result() for pitch_um, maps in begun.items()})
     rows = findings(evidence) if paper else []
-    further = [drawing.plot(figure_6, evidence)] if paper else []
+    equal_errors = [drawing.plot(figure_6, evidence)] if paper else []
 
     brief = study_document(result)
     unstated = [UNSTATED] if all(curve.data_sheet for curve in result.curves) else []
@@ -388,12 +384,11 @@ def study_page(
         sections=(
             Section("optima", "Optima", [optima_table(result.curves)] if len(result.curves) > 1 else ()),
             Section("see", "Pictures", _pictures(result, views)),
-            Section("paper", "Statements of the paper", _paper(rows)),
+            Section("paper", "Statements of the paper", [*_paper(rows), *equal_errors]),
             Section("curves", "Further curves", curves),
             budgets_section(budgets),
             Section("limits", "What limits these pixels", [limits]),
             Section("settings", "Settings", [*settings_blocks(settings(result)), *unstated]),
-            Section("figures", "The paper's other figures", [*scene, *further], folded=True),
             Section("made", "How this was computed", made, folded=True),
         ),
         files={f"figures/contact_sheet_{view.file_label}.png": view.sheet for view in views},

@@ -19,7 +19,7 @@ from pixsim.viewer.display_options import Display
 from pixsim.viewer.score import exceeded
 
 if TYPE_CHECKING:
-    from pixsim.studies.curve import Curve
+    pass
 
 DELTA_E = (
     "ΔE is the visible difference between a sensor's picture and that of an ideal camera: the CIELAB colour difference after the "
@@ -46,14 +46,6 @@ def weighted_answer(regrets: Regrets) -> Answer:
     first, _, words = metric.best.partition(" ")
     label = f"{regrets.label}: {first} weighted {words} {value} at "
     return Answer((label, Strong(pixel_size(best.pitch_um)), f" (95 %: {interval(best.interval_um)})"))
-
-
-FILLED = 0.9995  # larger fill factors are shown as 100 %: data sheets give the numbers of the whole pixel
-
-
-def is_partly_filled(curve: Curve) -> bool:
-    """Return whether the photodiode leaves out a part of a pixel."""
-    return bool(curve.fill_factor.min() <= FILLED)
 
 
 # --- the light, the film and the display behind a result --------------------------------------------------------------------------

@@ -28,7 +28,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 import pixsim
 from pixsim.light.spectral import SpectralImage
 from pixsim.report.curve import delta_e_against_pitch
-from pixsim.report.paper import SCENE_FIGURES, figure_2a, figure_2b, figure_6
+from pixsim.report.paper import figure_6
 from pixsim.report.pictures import MAX_TICKS, picture_axes
 from pixsim.report.score import score_plate
 from pixsim.report.study import light_against_detail, optimum_against_technology, study_drawing, study_page
@@ -37,7 +37,7 @@ from pixsim.sensor.motion_options import Motion
 from pixsim.show.figures import ISO_SMOOTHING_DOTS, label_axes, new_figure, own_style, svg_text
 from pixsim.show.pages import Plate
 from pixsim.show.render import html as page_html
-from pixsim.studies.claims import Evidence, dr_and_snr_db, growth_exponent, size_maps
+from pixsim.studies.claims import Evidence, size_maps
 from pixsim.studies.design import pixel_of
 from pixsim.studies.engine import Workers
 from pixsim.studies.merit import detail_terms, mpe30_lx_s, mtf50_cy_per_mm, shown_mtf, system_mtf
@@ -71,7 +71,6 @@ def every_plate(evidence: Evidence) -> dict[str, Plate]:
     result, curve = evidence.result, evidence.result.curves[0]
     score = size_maps(result, 8.0, curve.technology, 2).score
     plates = [
-        *(draw(evidence.result) for draw in SCENE_FIGURES),
         figure_6(evidence),
         light_against_detail(result, evidence.curves["0.35um"]),
         delta_e_against_pitch([curve]),
@@ -93,19 +92,13 @@ def saved(plates: dict[str, Plate]) -> dict[str, str]:
     return {name: svg_text(plate.figure) for name, plate in plates.items()}
 
 
-def test_paper_plates_are_in_order(plates: dict[str, Plate]) -> None:
-    numbered = [name for name in plates if name.startswith("figure_")]
-    assert [name.split("_")[1] for name in numbered] == ["2a", "2b", "6"]
-    assert all(plates[name].caption.endswith(".") for name in numbered)
-
-
 # --- tables -----------------------------------------------------------------------------------------------------------
 
 UNITS = ("_um", "_db", "_mm", "_lx_s", "_lp_per_mm", "_delta_e", "_um2")
 # Ratios, names and counts; frequencies in a column's name are with their unit.
 WITHOUT_UNIT = re.compile(
-    r"technology|row|rows|columns|delta_e_column_\d+|sensor|contrast|fill_factor|frequency_over_6um_nyquist|"
-    r"optimum_features|mtf_\d+um|(delta_e|contrast|[a-z]+_mtf)_at_[\d.]+_lp_per_mm"
+    r"technology|row|rows|columns|delta_e_column_\d+|sensor|contrast|fill_factor|"
+    r"optimum_features|(delta_e|contrast|[a-z]+_mtf)_at_[\d.]+_lp_per_mm"
 )
 
 
@@ -145,31 +138,6 @@ def lines(plate: Plate, panel: int = 0) -> list[tuple[np.ndarray, np.ndarray]]:
 
 def is_drawn(plate: Plate, x: np.ndarray, y: np.ndarray, panel: int = 0) -> bool:
     return any(len(a) == len(x) and np.array_equal(a, x) and np.array_equal(b, y) for a, b in lines(plate, panel))
-
-
-def test_figure_2a_draws_equations(tiny_result: StudyResult) -> None:
-    plate = figure_2a(tiny_result)
-    pitch_um = column(plate, "pitch_um")
-    assert pitch_um[[0, -1]] == pytest.approx([5.3, 15.0])
-    for capacitance in ("paper", "mosis"):
-        for name, db in zip(("dr", "snr"), dr_and_snr_db(pitch_um, capacitance), strict=True):
-            np.testing.assert_array_equal(column(plate, f"{name}_{capacitance}_db"), db)
-            assert is_drawn(plate, pitch_um, db)
-    # With 5 to 73 % of fill factor, nearly p^1.2 by an estimate apart from pixsim.
-    assert growth_exponent(pitch_um, column(plate, "dr_paper_db")) == pytest.approx(1.2, abs=0.05)
-
-
-def test_figure_2b_draws_system_mtf(tiny_result: StudyResult) -> None:
-    plate = figure_2b(tiny_result)
-    relative, frequency = column(plate, "frequency_over_6um_nyquist"), column(plate, "frequency_lp_per_mm")
-    assert relative[[0, -1]] == pytest.approx([0, 1])
-    assert frequency[[0, -1]] == pytest.approx([0, 1e3 / 12])
-    curves = {um: column(plate, f"mtf_{um}um") for um in (6, 8, 10, 12)}
-    for um, mtf in curves.items():
-        physics = pixsim.derive(pixel_of(tiny_result.study, "0.35um", um))
-        np.testing.assert_allclose(mtf, system_mtf(tiny_result, physics, relative * 1e3 / 12), rtol=1e-12)
-        assert is_drawn(plate, relative, mtf)
-    assert (np.diff(list(curves.values()), axis=0)[:, 1:] < 0).all(), "a larger photodiode blurs more"
 
 
 def test_light_against_detail_one_to_one_has_no_display_terms(tiny_result: StudyResult) -> None:
@@ -441,7 +409,7 @@ def test_plates_lines_differ_in_grey(plates: dict[str, Plate]) -> None:
         looks = [grey_look(item) for item in handles]
         assert len(set(looks)) == len(looks), name
         compared += len(looks)
-    assert compared > 15
+    assert compared > 10
 
 
 def test_plates_axes_have_labels(plates: dict[str, Plate]) -> None:
