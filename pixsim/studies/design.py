@@ -578,8 +578,3 @@ def point_at(number: int, displays: int) -> tuple[int, int]:
     """Return the repeat and the display of the evaluation of a number, as `point_count` counts them."""
     checked = CHECKED_REPEATS * displays
     return divmod(number, displays) if number < checked else (CHECKED_REPEATS + number - checked, 0)
-
-
-def block_key(frames_key: str, block: int) -> str:
-    """Return the cache key of the frames of one task, which share a file."""
-    return frames_key and f"{frames_key}-{block}"

@@ -33,7 +33,6 @@ from pixsim.studies.design import (
     REPEATS_PER_TASK,
     Case,
     Sizes,
-    block_key,
     frame_cost,
     point_at,
     point_count,
@@ -66,6 +65,8 @@ class LitCase:
     case: Case[Any]
     scenes: SceneCache
     prepared: PreparedScene | None = None
+    _pixel_hashes: dict[float, str] = field(default_factory=dict, init=False, repr=False)
+    _keys: dict[float, list[str]] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def imaging(self) -> Imaging:
@@ -112,62 +113,49 @@ class LitCase:
             light.store_integrals()
         return light
 
-    @cached_property
-    def fingerprints(self) -> Fingerprints:
-        """Keys of its frames and rows."""
-        return Fingerprints(self)
-
-
-@dataclass(frozen=True)
-class Fingerprints:
-    """Hashes of everything that the evaluations of a case depend on."""
-
-    lit: LitCase
-    _pixels: dict[float, str] = field(default_factory=dict, init=False, repr=False)
-    _keys: dict[float, list[str]] = field(default_factory=dict, init=False, repr=False)
+    # --- hashes of everything that its frames and rows depend on
 
     @cached_property
-    def imaging(self) -> str:
+    def frames_hash(self) -> str:
         """Hash of the light, camera, exposure, correction and random streams, without pixel and display."""
-        settings = [getattr(self.lit.imaging, name).model_dump() for name in OF_FRAME]
+        settings = [getattr(self.imaging, name).model_dump() for name in OF_FRAME]
         # With pixsim's sources and the versions of the packages that compute, so that no row of another formula is reused.
-        return content_hash([self.lit.scenes.content, settings, *self.lit.case.stream, cache.version_fingerprint(*COMPUTED_BY)])
+        return content_hash([self.scenes.content, settings, *self.case.stream, cache.version_fingerprint(*COMPUTED_BY)])
 
     @cached_property
-    def shown(self) -> list[str]:
+    def display_hashes(self) -> list[str]:
         """Hash of each display, of the part of the die that is scored on it, of the development, and of the precision."""
-        imaging = self.lit.imaging
+        imaging = self.imaging
         border_um = imaging.border_um if imaging.display.raster == "fixed_size" else 0.0
-        own = imaging.develop.content_hash, border_um, imaging.single, imaging.metrics.content
-        return [content_hash([display.content_hash, *own]) for display in self.lit.displays]
+        shared = imaging.develop.content_hash, border_um, imaging.single, imaging.metrics.content
+        return [content_hash([display.content_hash, *shared]) for display in self.displays]
 
     @cached_property
-    def light(self) -> str:
+    def light_hash(self) -> str:
         """Hash of the light behind the lens, and of the pixel but its size."""
-        return content_hash([self.imaging, self.shown, *self._of_pixel(self.lit.imaging.pixel, "pitch_um")])
+        return content_hash([self.frames_hash, self.display_hashes, *self._pixel_content(self.imaging.pixel, "pitch_um")])
 
-    def _of_pixel(self, pixel: Pixel, *but: str) -> tuple[object, ...]:
-        return self.lit.imaging.physics.technology.content, pixel.model_dump(exclude={"technology", *but})  # a path is no content
+    def _pixel_content(self, pixel: Pixel, *but: str) -> tuple[object, ...]:
+        return self.imaging.physics.technology.content, pixel.model_dump(exclude={"technology", *but})  # a path is no content
 
-    def pixel(self, pitch_um: float) -> str:
+    def pixel_hash(self, pitch_um: float) -> str:
         """Return the hash of everything that the frames of a pitch depend on."""
-        if pitch_um not in self._pixels:
-            at_pitch = self.lit.imaging.at(pitch_um)
+        if pitch_um not in self._pixel_hashes:
+            at_pitch = self.imaging.at(pitch_um)
             # The raster decides on registrations.
-            self._pixels[pitch_um] = content_hash([self.imaging, *self._of_pixel(at_pitch.pixel), at_pitch.display.raster])
-        return self._pixels[pitch_um]
+            content = [self.frames_hash, *self._pixel_content(at_pitch.pixel), at_pitch.display.raster]
+            self._pixel_hashes[pitch_um] = content_hash(content)
+        return self._pixel_hashes[pitch_um]
 
-    def keys(self, pitch_um: float, count: int) -> Sequence[str]:
+    def keys(self, pitch_um: float, count: int) -> list[str]:
         """Return the key of each evaluation of a pitch: of `count` repeats, of the first ones on each display."""
-        return self._known(pitch_um, count)[: point_count(count, len(self.shown))]
-
-    def _known(self, pitch_um: float, count: int) -> list[str]:
-        """Return the keys of a pitch of `count` repeats or more, not to be written to."""
-        known, displays = self._keys.setdefault(pitch_um, []), len(self.shown)
-        for number in range(len(known), point_count(count, displays)):
+        keys = self._keys.setdefault(pitch_um, [])
+        displays = len(self.displays)
+        end = point_count(count, displays)
+        for number in range(len(keys), end):
             repeat, display = point_at(number, displays)
-            known.append(content_hash([self.pixel(pitch_um), self.shown[display], repeat]))
-        return known
+            keys.append(content_hash([self.pixel_hash(pitch_um), self.display_hashes[display], repeat]))
+        return keys[:end]
 
     def is_expected_row(self, row: Row, pitches_um: Collection[float]) -> bool:
         """Return whether a row of results.csv may belong to the case and has the key of its pitch and repeat.
@@ -175,16 +163,12 @@ class Fingerprints:
         pitches_um : with which the case starts
         """
         pitch_um, repeat = float(row["pitch_um"]), float(row["repeat"])
-        if row["technology"] != self.lit.case.sensor or not (0 <= repeat < MOST_REPEATS and repeat.is_integer()):
+        if row["technology"] != self.case.sensor or not (0 <= repeat < MOST_REPEATS and repeat.is_integer()):
             return False
         if not min(pitches_um) <= pitch_um <= max(pitches_um):
             return False
-        first, end = (point_count(count, len(self.shown)) for count in (int(repeat), int(repeat) + 1))
-        return row["key"] in self._known(pitch_um, int(repeat) + 1)[first:end]
-
-    def frames_of_pitch(self, pitch_um: float) -> str:
-        """Return the cache key of the frames of a pitch; empty if the frames of the case are not cached."""
-        return self.pixel(pitch_um) if self.lit.case.caches_frames else ""
+        first = point_count(int(repeat), len(self.displays))
+        return row["key"] in self.keys(pitch_um, int(repeat) + 1)[first:]
 
 
 def lit_cases(cases: Sequence[Case[Any]], lights: Sequence[Light]) -> list[LitCase]:
@@ -232,7 +216,7 @@ class Task:
     displays : on which each frame is shown
     stream : how the keys of its random streams begin, before the repeat
     light_key, frames_key : hashes of everything that their light and their frames depend on; empty: frames are not cached
-    keys : of its rows, by their numbers as of `Fingerprints.keys`
+    keys : of its rows, by their numbers as of `LitCase.keys`
     shares_sensors : whether other cases may have the same sensors
     """
 
@@ -298,33 +282,28 @@ def task_of(lit: LitCase, imaging: Imaging, block: int, keys: Mapping[int, str])
 
     imaging : of the case, at the pixel size
     """
-    hashes, pitch_um, case = lit.fingerprints, imaging.pixel.pitch_um, lit.case
+    pitch_um, case = imaging.pixel.pitch_um, lit.case
     return Task(
         name=case.sensor,
         imaging=imaging,
         displays=lit.displays,
         stream=case.stream_at(pitch_um),
-        light_key=hashes.light,
-        frames_key=block_key(hashes.frames_of_pitch(pitch_um), block),
+        light_key=lit.light_hash,
+        frames_key=f"{lit.pixel_hash(pitch_um)}-{block}" if case.caches_frames else "",
         keys=keys,
         shares_sensors=bool(case.labels),
     )
 
 
-def blocks_of(lit: LitCase, count: int) -> Iterator[tuple[int, range]]:
-    """Yield the blocks of `count` repeats with the numbers of their evaluations."""
-    displays = len(lit.displays)
-    for block, first in enumerate(range(0, count, REPEATS_PER_TASK)):
-        end = min(count, first + REPEATS_PER_TASK)
-        yield block, range(point_count(first, displays), point_count(end, displays))
-
-
-def tasks_of(lit: LitCase, sizes: Sizes, is_done: Callable[[str], bool] = lambda _: False) -> Iterator[Task]:
+def tasks_of(lit: LitCase, sizes: Sizes, is_done: Callable[[str], bool]) -> Iterator[Task]:
     """Yield the tasks that are missing of a case, small pixels first, since they take longest."""
+    displays = len(lit.displays)
     for pitch_um, count in sizes.items():
-        keys = lit.fingerprints.keys(pitch_um, count)
+        keys = lit.keys(pitch_um, count)
         imaging = lit.imaging.at(pitch_um)  # one for thousands of tasks
-        for block, numbers in blocks_of(lit, count):
+        for block, first in enumerate(range(0, count, REPEATS_PER_TASK)):
+            end = min(count, first + REPEATS_PER_TASK)
+            numbers = range(point_count(first, displays), point_count(end, displays))
             if missing := {number: keys[number] for number in numbers if not is_done(keys[number])}:
                 yield task_of(lit, imaging, block, missing)
 
@@ -485,10 +464,10 @@ def ideal_facts(lit: LitCase, smallest_um: float) -> IdealFacts:
 
     They follow from the light, not from the rows, so that a resumed study knows them as one that evaluates them.
     """
-    smallest, hashes = lit.imaging.at(smallest_um), lit.fingerprints
+    smallest = lit.imaging.at(smallest_um)
     electrons, *others = lit.light_key
     pixels_um = smallest.physics.read_pitch_um if lit.imaging.display.raster == "one_to_one" else None
-    seen = [hashes.imaging, hashes.shown[0], blake2b(electrons).hexdigest(), *others, pixels_um]
+    seen = [lit.frames_hash, lit.display_hashes[0], blake2b(electrons).hexdigest(), *others, pixels_um]
 
     def read(entry: dict[str, Any]) -> IdealFacts:
         low, high = entry["lightness"]
@@ -697,8 +676,8 @@ class _Evaluation:
 
     def _keys(self, number: int) -> list[str]:
         """Return the keys of all points of a case, in their order."""
-        hashes = self.cases[number].fingerprints
-        return [key for pitch_um, count in self.sizes[number].items() for key in hashes.keys(pitch_um, count)]
+        lit = self.cases[number]
+        return [key for pitch_um, count in self.sizes[number].items() for key in lit.keys(pitch_um, count)]
 
     def _lines(self, table: Table) -> Iterator[tuple[Any, ...]]:
         """Yield the rows of results.csv in their order: all points that are possible."""
@@ -724,9 +703,9 @@ class _Evaluation:
         for place, number in enumerate(numbers):
             count_displays = len(self.cases[number].displays)
             for pitch_um, count in self.sizes[number].items():
-                own = self.cases[number].fingerprints.keys(pitch_um, count)
-                keys += own
-                order = np.arange(len(own))
+                keys_of_size = self.cases[number].keys(pitch_um, count)
+                keys += keys_of_size
+                order = np.arange(len(keys_of_size))
                 of_case.append(np.full(order.size, place, np.int32))
                 pitches.append(np.full(order.size, pitch_um))
                 checked = CHECKED_REPEATS * count_displays
@@ -767,7 +746,7 @@ class _Evaluation:
             """A row of another case may have the same numbers; it is looked for among few cases only."""
             same = by_labels.get(tuple(row[name] for name in names), [])
             others = range(len(self.cases)) if len(self.cases) <= FEW_CASES else ()
-            return any(self.cases[number].fingerprints.is_expected_row(row, self.sizes[number]) for number in (*same, *others))
+            return any(self.cases[number].is_expected_row(row, self.sizes[number]) for number in (*same, *others))
 
         return is_expected
 

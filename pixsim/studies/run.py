@@ -617,7 +617,7 @@ def score_run(
         score=score,
         table=table,
         table_at_first=at_first,
-        keys=tuple(lit.fingerprints.keys(settings.pixel.pitch_um, job.repeats)),
+        keys=tuple(lit.keys(settings.pixel.pitch_um, job.repeats)),
         threshold=threshold,
     )
     return replace(result, score=replace(score, light=result.light))

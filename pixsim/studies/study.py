@@ -139,16 +139,16 @@ def evaluate_cases(
     and the table of all points.
     """
     lit = lit_cases(cases, lights)
-    under: dict[tuple[str, str], list[LitCase]] = {}  # of one scene and condition
-    for one in lit:
-        under.setdefault((one.case.settings.scene.file, one.case.condition), []).append(one)
-    for together in under.values():
-        check_ideals(together)
+    by_scene: dict[tuple[str, str], list[LitCase]] = {}
+    for sensor in lit:
+        by_scene.setdefault((sensor.case.settings.scene.file, sensor.case.condition), []).append(sensor)
+    for sensors in by_scene.values():
+        check_ideals(sensors)
+
     groups: dict[object, list[int]] = {}
     for number, case in enumerate(cases):
         groups.setdefault(case.group, []).append(number)
     rounds, counts = Rounds(lit, len(groups) <= FEW_CASES), Counts(0, 0, 0)
-    has_target = any(case.settings.target_ci_um is not None for case in cases)
     awaits = [begun] if begun is not None and len(groups) == 1 and workers.jobs > 1 else []
 
     def reports() -> Progress:
@@ -161,43 +161,50 @@ def evaluate_cases(
 
         return evaluated
 
+    has_target = any(case.settings.target_ci_um is not None for case in cases)
     table = evaluate_points(
         lit, results, workers, reports, more=rounds.more, known=rounds.curve, counts=counts, in_parts=has_target
     )
 
     tables = table.by_case()
-    curves = [rounds.curve(number, tables[number]) for number in range(len(cases))]
+    curves = [rounds.curve(number, rows) for number, rows in enumerate(tables)]
     warn_of_left_out(lit, curves)
-    possible = (one for one, curve in zip(lit, curves, strict=True) if isinstance(curve, Curve))
-    warn_of_reviews((label_of(one.case.sensor), one.case, one.scenes.light) for one in possible)
-    found: list[StudyResult | str] = []
+    possible = (sensor for sensor, curve in zip(lit, curves, strict=True) if isinstance(curve, Curve))
+    warn_of_reviews((label_of(sensor.case.sensor), sensor.case, sensor.scenes.light) for sensor in possible)
+    combinations: list[StudyResult | str] = []
     for members in groups.values():
-        if reason := next((curve for number in members if isinstance(curve := curves[number], str)), ""):
-            found.append(reason)
-            continue
-        light, study = lights[members[0]], cases[members[0]].settings
-        smallest_um = {number: min(cases[number].sizes) for number in members}
-        facts = {number: ideal_facts(lit[number], smallest_um[number]) for number in members}
-        for number in members:
-            warn_of_clipping(facts[number].beyond_white, light.image.header, lit[number].imaging.display)
-        complete = []
-        for number in members:
-            curve, case = curves[number], cases[number]
-            assert isinstance(curve, Curve)
-            causes = causes_of_curve(lit[number], curve, facts[number].lightness, on_first_display(tables[number]))
-            complete.append(
-                replace(
-                    curve,
-                    case=replace(curve.case, at=case.at, condition=case.condition, alone=case.alone),
-                    errors=replace(curve.errors, causes=causes),
-                    on_displays=on_further_displays(study, curve, tables[number]),
-                )
-            )
+        of_members = [(lit[number], curves[number], tables[number]) for number in members]
         rows = table.take(np.isin(table.case, members))
-        found.append(
-            StudyResult(study, tuple(complete), light, view=dict(view), table=rows, lit=tuple(lit[number] for number in members))
-        )
-    return found, counts, table
+        combinations.append(combination_result(of_members, lights[members[0]], view, rows))
+    return combinations, counts, table
+
+
+def combination_result(
+    members: Sequence[tuple[LitCase, Curve | str, Table]], light: Light, view: Mapping[str, Any], rows: Table
+) -> StudyResult | str:
+    """Return the result of one combination of axes and condition, or the reason why a sensor of it has no curve.
+
+    members : each sensor in its light, its curve, and the evaluations of the curve
+    rows : evaluations of all sensors
+    """
+    for _, curve, _ in members:
+        if isinstance(curve, str):
+            return curve
+    facts = [ideal_facts(sensor, min(sensor.case.sizes)) for sensor, _, _ in members]
+    for (sensor, _, _), fact in zip(members, facts, strict=True):
+        warn_of_clipping(fact.beyond_white, light.image.header, sensor.imaging.display)
+
+    complete = []
+    for (sensor, curve, table), fact in zip(members, facts, strict=True):
+        assert isinstance(curve, Curve)
+        case = sensor.case
+        causes = causes_of_curve(sensor, curve, fact.lightness, on_first_display(table))
+        labels = replace(curve.case, at=case.at, condition=case.condition, alone=case.alone)
+        errors = replace(curve.errors, causes=causes)
+        on_displays = on_further_displays(case.settings, curve, table)
+        complete.append(replace(curve, case=labels, errors=errors, on_displays=on_displays))
+    sensors = tuple(sensor for sensor, _, _ in members)
+    return StudyResult(sensors[0].case.settings, tuple(complete), light, view=dict(view), table=rows, lit=sensors)
 
 
 def warn_of_left_out(cases: Sequence[LitCase], curves: Sequence[Curve | str]) -> None:
@@ -218,7 +225,7 @@ def findings_of_cases(parts: Sequence[StudyResult], workers: Workers, progress: 
     The rows of the paper's process are computed once for cases that differ in other processes only.
     """
     keys = [
-        content_hash([of_technology(part.study, REFERENCE_TECHNOLOGY), part.sensors[REFERENCE_TECHNOLOGY].fingerprints.imaging])
+        content_hash([of_technology(part.study, REFERENCE_TECHNOLOGY), part.sensors[REFERENCE_TECHNOLOGY].frames_hash])
         if REFERENCE_TECHNOLOGY in part.study.technologies
         else ""
         for part in parts

@@ -317,7 +317,7 @@ def test_rows_of_a_study_are_of_one_variant(card: Callable[[int], None]):
 
     def keys(choice: variant.ChosenVariant) -> set[str]:
         (lit,) = lit_sensors(tiny(), light(choice), small().camera())
-        return set(lit.fingerprints.keys(6.0, 2))
+        return set(lit.keys(6.0, 2))
 
     of_card, known = keys(CHOSEN), keys(variant.choose(VARIANT))
     assert of_card.isdisjoint(known)

@@ -20,8 +20,8 @@ LIGHT = SpectralImage([550.0], 10.0, 84.8, data=np.ones((4, 4, 1)))
 
 
 def stages(study: Study) -> dict[str, str]:
-    hashes = lit_sensors(study, LIGHT, Camera())[0].fingerprints
-    return {"light": light_hash(study), "frame": hashes.pixel(PITCH_UM), "score": hashes.keys(PITCH_UM, 2)[1]}
+    lit = lit_sensors(study, LIGHT, Camera())[0]
+    return {"light": light_hash(study), "frame": lit.pixel_hash(PITCH_UM), "score": lit.keys(PITCH_UM, 2)[1]}
 
 
 def made_anew(before: Study, **change: Any) -> set[str]:

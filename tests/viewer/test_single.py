@@ -106,7 +106,7 @@ def test_a_tolerance_below_the_bound_takes_float64():
     for tolerance in (None, 1e-2, 1e-5):
         study = Study.model_validate(table | {"tolerance_delta_e": tolerance})
         (lit,) = lit_sensors(study, image(), camera)
-        keys += lit.fingerprints.shown
+        keys += lit.display_hashes
         kinds.append(lit.scenes.imaging.single)
     assert kinds == [True, True, False]
     assert keys[0] == keys[1] != keys[2]
