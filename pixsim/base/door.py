@@ -241,7 +241,7 @@ def _array_of(bounds: Bounds | None, axes: int | None, dtype: Any, *, is_array: 
 
 
 def _bool(value: Any) -> Any:
-    if not is_bool(value) or getattr(value, "shape", ()):
+    if not is_bool(value) or getattr(value, "ndim", False):
         raise _refusal(brief(value), "True or False")
     return value
 

@@ -47,13 +47,13 @@ def invalid(name: str, got: object, expected: str, hint: str = "") -> PixsimErro
     return PixsimError(f"{name}: got {got}; allowed: {expected}." + (f" {hint}" if hint else ""))
 
 
-def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """A hint with the known name that is most similar, whatever its capitals; empty if none is similar.
+def did_you_mean(name: str, names: Iterable[str]) -> str:
+    """A hint with the one of some names that is most similar, whatever its capitals; empty if none is similar.
 
     >>> did_you_mean("canon_eos_5d_mark_ii", ["Canon_EOS_5D_Mark_IV", "Canon_EOS_5D_Mark_II"])
     "Did you mean 'Canon_EOS_5D_Mark_II'?"
     """
-    by_folded = {one.casefold(): one for one in known}
+    by_folded = {name.casefold(): name for name in names}
     similar = difflib.get_close_matches(name.casefold(), by_folded, 1)
     return f"Did you mean '{by_folded[similar[0]]}'?" if similar else ""
 

@@ -204,12 +204,12 @@ FAULTS_OF_DISKS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.ERO
 
 
 @contextmanager
-def disk_faults_named(folder: Path, target: Path, kept: str) -> Iterator[None]:
+def disk_faults_named(folder: Path, target: Path, advice: str) -> Iterator[None]:
     """Turn errors of a full or failing disk into UnwritableError, which names the file.
 
     folder : where the files are written; it is named where the error has no name
     target : where they are to be
-    kept : what is kept, for the message
+    advice : a sentence of the message, on what is still there or on another place
     """
     hint = "Free some disk space, and run the same command again."
     try:
@@ -217,12 +217,12 @@ def disk_faults_named(folder: Path, target: Path, kept: str) -> Iterator[None]:
     except PixsimError as error:
         if str(folder) not in str(error):
             raise
-        raise UnwritableError(f"{str(error).replace(str(folder), str(target))} {kept} {hint}") from None
+        raise UnwritableError(f"{str(error).replace(str(folder), str(target))} {advice} {hint}") from None
     except OSError as error:
         if error.errno not in FAULTS_OF_DISKS:
             raise
         place = os.fsdecode(error.filename or folder).replace(str(folder), str(target))
-        raise UnwritableError(f"output file: '{place}' cannot be written ({error.strerror}). {kept} {hint}") from None
+        raise UnwritableError(f"output file: '{place}' cannot be written ({error.strerror}). {advice} {hint}") from None
 
 
 SETTLED_NS = 2_000_000_000  # since a file's last change, so that another change shows in its times

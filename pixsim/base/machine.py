@@ -61,8 +61,8 @@ MAX_THREADS = 16  # more wait for memory
 @cache
 def threads() -> int:
     """Threads that a kernel may use: the usable processors, or the number that OMP_NUM_THREADS sets, as in workers of a study."""
-    given = os.environ.get("OMP_NUM_THREADS", "")
-    return int(given) if given.isdigit() and int(given) > 0 else min(processors().usable, MAX_THREADS)
+    stated = os.environ.get("OMP_NUM_THREADS", "")
+    return int(stated) if stated.isdigit() and int(stated) > 0 else min(processors().usable, MAX_THREADS)
 
 
 def memory(root: Path = Path("/")) -> Memory:

@@ -34,7 +34,7 @@ class Words:
 
 def words_of(info: FieldInfo | None) -> Words:
     """Return the `Words` of a field; none for a field without."""
-    return next((each for each in (info.metadata if info else ()) if isinstance(each, Words)), Words())
+    return next((part for part in (info.metadata if info else ()) if isinstance(part, Words)), Words())
 
 
 MAX_VALUE = 80  # characters of a value in a message
@@ -56,40 +56,53 @@ MAX_PROBLEMS = 10  # of a file, that a message lists: each takes milliseconds, a
 
 
 def _line(title: str, problem: ErrorDetails, layers: Sequence[Layer], listed: set[str]) -> str:
-    """Return a problem as text. `listed` has the tables whose names were said, once for each; it is written to."""
+    """Return a problem as text. `listed` has the tables whose names were listed, once for each; it is written to."""
     path = [str(part) for part in problem["loc"] if part not in BRANCHES]
     layer = _layer_of(problem, layers)
     where = _where(title, problem, layer, layers)
-    if problem["type"] == "extra_forbidden":
-        *above, name = path
-        known, hint = names_at(title, above), _hint_of_name(title, above, name.replace("-", "_"))
-        table = where.rpartition(".")[0] if above else ""
-        allowed = "" if table in listed else f"; allowed: {', '.join(known)}"
-        listed.add(table)
-        return f"{where}: unknown name{allowed}.{hint and ' '}{hint}"
-    if problem["type"] == "missing" and isinstance(problem["loc"][-1], int) and isinstance(problem["input"], Sequence):
-        field, at_least = _field(title, path[:-1]), problem["loc"][-1] + 1
-        meant = f": {field.description}" if field and field.description else ""
-        return f"{where.rpartition('.')[0]}: got a list of {len(problem['input'])}; allowed: a list of at least {at_least}{meant}."
-    if problem["type"] == "missing":
-        field = _field(title, path)
-        return f"{where}: missing; it is required{f', as in {field.examples[0]}' if field and field.examples else ''}."
-    message = problem["msg"].removeprefix("Value error, ")
-    if problem["type"].startswith(("greater_than", "less_than")):  # Pydantic writes 1e-15 in full
-        (bound,) = problem["ctx"].values()
-        message = f"{message.rpartition(' ')[0]} {bound if isinstance(bound, int) else format(bound, 'g')}"
-    message = message[0].lower() + message[1:].replace("valid tuple", "list").partition(", unable to parse")[0]
-    if problem["type"] == "value_error":
+    kind = problem["type"]
+    if kind == "extra_forbidden":
+        return _unknown_name(title, path, where, listed)
+    if kind == "missing":
+        return _missing(title, path, where, problem)
+
+    message = problem["msg"].removeprefix("Value error, ").replace("valid tuple", "list").partition(", unable to parse")[0]
+    message = message[0].lower() + message[1:]
+    if kind == "value_error":
         return f"{where}: {message}" + "." * (message[-1:] not in (".", "?"))
-    if problem["type"] == "model_type":
-        message = f"a table of {', '.join(names_at(title, path))}" if names_at(title, path) else "a table"
-    value = _value(problem["input"], layer)
-    value = value if len(value) <= MAX_VALUE else value[:MAX_VALUE] + "…"
-    asked = problem["input"]
-    if problem["type"].startswith(("greater_than", "less_than")) and isinstance(asked, str):  # of a command line
-        asked = float(asked)
-    hint = _hint(title, path, asked)
-    return f"{where}: got {value}; allowed: {message.removeprefix('input should be ')}.{hint and ' '}{hint}"
+    if kind == "model_type":
+        message = " of ".join(filter(None, ["a table", ", ".join(names_at(title, path))]))
+
+    wrong = problem["input"]
+    text = _value(wrong, layer)
+    text = text if len(text) <= MAX_VALUE else text[:MAX_VALUE] + "…"
+    if kind.startswith(("greater_than", "less_than")):
+        (bound,) = problem["ctx"].values()
+        message = f"{message.rpartition(' ')[0]} {bound if isinstance(bound, int) else format(bound, 'g')}"  # not 1e-15 in full
+        wrong = float(wrong)  # a text on a command line
+    hint = _hint(title, path, wrong)
+    return f"{where}: got {text}; allowed: {message.removeprefix('input should be ')}.{hint and ' '}{hint}"
+
+
+def _unknown_name(title: str, path: Sequence[str], where: str, listed: set[str]) -> str:
+    *above, name = path
+    hint = _hint_of_name(title, above, name.replace("-", "_"))
+    table = where.rpartition(".")[0] if above else ""
+    allowed = "" if table in listed else f"; allowed: {', '.join(names_at(title, above))}"
+    listed.add(table)
+    return f"{where}: unknown name{allowed}.{hint and ' '}{hint}"
+
+
+def _missing(title: str, path: Sequence[str], where: str, problem: ErrorDetails) -> str:
+    place = problem["loc"][-1]
+    if isinstance(place, int) and isinstance(problem["input"], Sequence):  # a part of a list
+        field = _field(title, path[:-1])
+        meaning = f": {field.description}" if field and field.description else ""
+        got = f"a list of {len(problem['input'])}"
+        return f"{where.rpartition('.')[0]}: got {got}; allowed: a list of at least {place + 1}{meaning}."
+    field = _field(title, path)
+    example = f", as in {field.examples[0]}" if field and field.examples else ""
+    return f"{where}: missing; it is required{example}."
 
 
 def names_meant(title: str, above: Sequence[str], name: str) -> list[list[str]]:
@@ -145,7 +158,7 @@ def _value(value: object, layer: Layer | None) -> str:
         return repr(value)
     if isinstance(value, str):
         return excerpt(value) if layer.named else quoted(value)
-    if isinstance(value, list | tuple | dict) and not all(isinstance(each, bool | int | float) for each in value):
+    if isinstance(value, list | tuple | dict) and not all(isinstance(part, bool | int | float) for part in value):
         return f"a {'table' if isinstance(value, dict) else 'list'} of {len(value)}"
     return repr(value)
 
@@ -169,8 +182,8 @@ def _where(title: str, problem: ErrorDetails, layer: Layer | None, layers: Seque
     loc = [part for part in problem["loc"] if part not in BRANCHES]
     if layer is None or not layer.source:
         return ".".join(map(str, loc)) or title
-    known = {name for length in range(len(loc)) for name in names_at(title, [str(part) for part in loc[:length]])}
-    parts = [str(part) if isinstance(part, int) or part in known else _name_in(part, layer) for part in loc]
+    names = {name for length in range(len(loc)) for name in names_at(title, [str(part) for part in loc[:length]])}
+    parts = [str(part) if isinstance(part, int) or part in names else _name_in(part, layer) for part in loc]
     return f"{layer.source}: {'.'.join(parts) or title}"
 
 

@@ -33,11 +33,9 @@ def check_not_newer(name: str, got: object) -> None:
 
     name : of the file, in words
     """
-    known = got is None or (isinstance(got, int) and not isinstance(got, bool) and 1 <= got <= SCHEMA)
-    if not known:
-        raise invalid(
-            name, f"schema {str(got)[:20]}", f"up to {SCHEMA}", "Take the version of pixsim that wrote it, or a newer one."
-        )
+    if got is not None and (type(got) is not int or not 1 <= got <= SCHEMA):
+        hint = "Take the version of pixsim that wrote it, or a newer one."
+        raise invalid(name, f"schema {str(got)[:20]}", f"up to {SCHEMA}", hint)
 
 
 def result_data(

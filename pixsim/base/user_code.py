@@ -8,7 +8,7 @@ import inspect
 import pickle
 import sysconfig
 from pathlib import Path
-from types import CellType
+from types import CellType, CodeType
 
 # Code that versions tell, not results: of pixsim, of Python and of installed packages.
 OF_VERSIONS = (str(Path(__file__).parents[1]), *(sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")))
@@ -32,7 +32,7 @@ def content_of(value: object, seen: list[object]) -> str:
     value : the function, or what it refers to
     seen : such values that were met before, to which this one is added
     """
-    if inspect.ismodule(value) or any(value is one for one in seen):
+    if inspect.ismodule(value) or any(value is other for other in seen):
         return ""
     seen.append(value)
     function = getattr(value, "__func__", value)  # of a method
@@ -42,15 +42,19 @@ def content_of(value: object, seen: list[object]) -> str:
         except Exception:  # whatever a class of the user's raises
             return f"{type(value)} {getattr(value, '__qualname__', '')}"
     codes = [function.__code__]
-    for each in codes:  # with those of functions inside
-        codes += [constant for constant in each.co_consts if inspect.iscode(constant)]
-    constants = [
-        [sorted(map(repr, one)) if isinstance(one, frozenset) else repr(one) for one in each.co_consts if not inspect.iscode(one)]
-        for each in codes
-    ]
-    own = [(each.co_code, each.co_names, constant) for each, constant in zip(codes, constants, strict=True)]
-    used = {step.argval for each in codes for step in dis.get_instructions(each) if step.opname in ("LOAD_GLOBAL", "LOAD_NAME")}
+    for code in codes:  # with those of functions inside
+        codes += [constant for constant in code.co_consts if inspect.iscode(constant)]
+    steps = [(code.co_code, code.co_names, _constants(code)) for code in codes]
+
+    instructions = (step for code in codes for step in dis.get_instructions(code))
+    used = {step.argval for step in instructions if step.opname in ("LOAD_GLOBAL", "LOAD_NAME")}
     names = sorted(used & function.__globals__.keys())
     cells = [cell.cell_contents for cell in function.__closure__ or () if cell != CellType()]
-    others = [*(function.__globals__[name] for name in names), *cells, function.__defaults__, function.__kwdefaults__]
-    return " ".join([repr(own), *(content_of(other, seen) for other in others)])
+    values = [*(function.__globals__[name] for name in names), *cells, function.__defaults__, function.__kwdefaults__]
+    return " ".join([repr(steps), *(content_of(value, seen) for value in values)])
+
+
+def _constants(code: CodeType) -> list[object]:
+    """Return what tells the constants of code apart; a set has its members in one order."""
+    plain = (constant for constant in code.co_consts if not inspect.iscode(constant))
+    return [sorted(map(repr, constant)) if isinstance(constant, frozenset) else repr(constant) for constant in plain]
