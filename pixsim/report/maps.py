@@ -490,58 +490,52 @@ def alone_plate(result: CasesResult) -> Plate | None:
 
 @figure(
     "tornado",
-    "Each axis moved alone about the base (vertical line, grey: its 95 % interval); the widest bar, which moves the optimum most,"
-    " comes first. Hollow points: the best size is not known, since it is at an end of the sizes tried or the film cannot tell "
-    "sizes apart.",
+    "Optimal pixel size where each axis is moved alone about the base (vertical stroke); the widest bar, which moves the optimum "
+    "most, comes first. Hollow points: the best size is not known, since it is at an end of the sizes tried or the film cannot "
+    "tell sizes apart. The table has the best values too.",
 )
 def tornado(result: CasesResult, groups: Sequence[Group]) -> Drawing:
-    """Draw the optimum and the best value of each axis that is moved alone, a row of panels for each group."""
-    scales = [Scale.of(axis) for axis in result.study.axis if axis.alone]
-    scales.sort(key=lambda scale: max(group.width_um(scale.name) for group in groups), reverse=True)
-    names = [scale.name for scale in scales]
-    labels = [short(scale.name, SHORT_TICK) + (f"\n({scale.unit})" if scale.unit else "") for scale in scales]
-    figure = new_figure(WIDTH_IN, (0.46 * len(names) + 1.1) * len(groups))
-    panels = figure.subplots(len(groups), 2, squeeze=False, sharey=True)
-    for row, group in zip(panels, groups, strict=True):
-        best = group.base.optimum
-        ends = closed_range(best.interval_um, group.base), best.value_interval
-        for axes, quantity, (low, high) in zip(row, ("pitch_um", "value"), ends, strict=True):
-            for place, name in enumerate(names):
-                draw_moves(axes, place, group, name, quantity)
-            axes.axvspan(low, high, color="0.5", alpha=0.15, lw=0)
-            axes.axvline(getattr(best, quantity), color="0.2", lw=1)
-            axes.grid(axis="x", alpha=0.25)
-            axes.use_sticky_edges = False
-            axes.margins(x=0.15)  # for labels beside the bars
-            axes.set_title(short(group.label), fontsize=SMALL_PT + 1)
-        row[0].set_yticks(range(len(names)), labels)
-        row[0].set_ylim(len(names) - 0.4, -0.6)
-    for axes, label in zip(panels[-1], (PIXEL_SIZE, literal(groups[0].base.metric.best)), strict=True):
-        axes.set_xlabel(label)
+    """Draw the optimum of each axis that is moved alone, a bar for each axis of each group."""
+    names = [axis.name for axis in result.study.axis if axis.alone]
+    bars = [(group, name) for group in groups for name in names]
+    bars.sort(key=lambda bar: bar[0].width_um(bar[1]), reverse=True)
+    figure = new_figure(WIDTH_IN, 0.46 * len(bars) + 1.1)
+    axes = figure.subplots()
+    for place, (group, name) in enumerate(bars):
+        draw_moves(axes, place, group, name)
+    axes.grid(axis="x", alpha=0.25)
+    axes.use_sticky_edges = False
+    axes.margins(x=0.1)  # for labels beside the bars
+    units = {axis.name: Scale.of(axis).unit for axis in result.study.axis}
+    labels = [", ".join(filter(None, (group.label, name))) + (units[name] and f" ({units[name]})") for group, name in bars]
+    axes.set_yticks(range(len(bars)), [short(label) for label in labels])
+    axes.set_ylim(len(bars) - 0.4, -0.6)
+    axes.set_xlabel(PIXEL_SIZE)
 
-    curves = [curve for group in groups for curve in (group.base, *(moved for name in names for moved in group.moved[name]))]
+    widest_first = list(dict.fromkeys(name for _, name in bars))
+    curves = [curve for group in groups for curve in (group.base, *(moved for name in widest_first for moved in group.moved[name]))]
     table: dict[str, Column] = case_columns(result, curves, [])
     table["axis"] = [curve.alone or BASE for curve in curves]
     table["value"] = [curve.at[curve.alone] if curve.alone else BASE for curve in curves]
     return figure, table | optimum_columns(curves)
 
 
-def draw_moves(axes: Axes, row: int, group: Group, name: str, quantity: str) -> None:
-    """Draw a bar from the lowest to the highest value of an axis, including the base, with labels at its ends.
-
-    quantity : of the optimum, which is drawn: "pitch_um" or "value"
-    """
-    curves = sorted(group.moved[name], key=lambda curve: getattr(curve.optimum, quantity))
-    values = [getattr(curve.optimum, quantity) for curve in (group.base, *curves)]
-    axes.barh(row, max(values) - min(values), left=min(values), height=0.5, color=COLOURS[0], alpha=0.25)
-    for curve, value in zip(curves, values[1:], strict=True):
-        is_hollow = quantity == "pitch_um" and not curve.optimum.inside
-        axes.plot(value, row, "o", ms=4.5, color=COLOURS[0], mfc="white" if is_hollow else COLOURS[0])
+def draw_moves(axes: Axes, place: int, group: Group, name: str) -> None:
+    """Draw a bar from the lowest to the highest optimum of an axis, including the base, with the axis' values at its ends."""
+    curves = sorted(group.moved[name], key=lambda curve: curve.optimum.pitch_um)
+    base_um = group.base.optimum.pitch_um
+    sizes_um = [curve.optimum.pitch_um for curve in curves]
+    low_um, high_um = min(base_um, *sizes_um), max(base_um, *sizes_um)
+    axes.barh(place, high_um - low_um, left=low_um, height=0.5, color=COLOURS[0], alpha=0.25)
+    axes.vlines(base_um, place - 0.35, place + 0.35, color="0.2", lw=1)
+    for curve, size_um in zip(curves, sizes_um, strict=True):
+        face = COLOURS[0] if curve.optimum.inside else "white"
+        axes.plot(size_um, place, "o", ms=4.5, color=COLOURS[0], mfc=face)
     for curve, offset_pt in zip(curves[:1] + curves[1:][-1:], (-13, 7), strict=False):
-        at = curve.at[name]
-        text = short(at, SHORT_TICK) if isinstance(at, str) else f"{at:.4g}"
-        value = getattr(curve.optimum, quantity)
-        axes.annotate(text, (value, row), (0, offset_pt), textcoords="offset points", fontsize=CELL_PT, ha="center")
+        value = curve.at[name]
+        text = short(value, SHORT_TICK) if isinstance(value, str) else f"{value:.4g}"
+        at = curve.optimum.pitch_um, place
+        axes.annotate(text, at, (0, offset_pt), textcoords="offset points", fontsize=CELL_PT, ha="center")
 
 
 def bases_of(result: CasesResult) -> dict[str, StudyResult]:

@@ -416,17 +416,17 @@ def test_alone_plate_holds_moves_about_the_base(tornado: Plate) -> None:
 
 
 def test_alone_plate_bars_span_the_moves(tornado: Plate) -> None:
-    for panel, condition in ((0, "day"), (2, "night")):
+    """The widest first, with the values of the axis at their ends."""
+    (axes,) = tornado.figure.axes
+    bars = [("night", "read noise"), ("day", "read noise"), ("night", "prnu"), ("day", "prnu")]
+    assert [label.get_text() for label in axes.get_yticklabels()] == [
+        *("night, read noise (electrons)", "day, read noise (electrons)", "night, prnu", "day, prnu")
+    ]
+    for patch, (condition, name) in zip(axes.patches, bars, strict=True):
         rows = [row for row in rows_of(tornado) if row["condition"] == condition]
-        base_um = rows[0]["optimum_um"]
-        for bar, name in zip(tornado.figure.axes[panel].patches, ("read noise", "prnu"), strict=False):
-            own = [base_um, *(row["optimum_um"] for row in rows if row["axis"] == name)]
-            assert (bar.get_x(), bar.get_x() + bar.get_width()) == pytest.approx((min(own), max(own)))
-        labels = [label.get_text() for label in tornado.figure.axes[panel].get_yticklabels()]
-        assert labels == ["read noise\n(electrons)", "prnu"]
-        assert {text.get_text() for text in tornado.figure.axes[panel].texts} == {"1", "20", "0.005", "0.03"}, (
-            "the ends of the bars"
-        )
+        sizes_um = [rows[0]["optimum_um"], *(row["optimum_um"] for row in rows if row["axis"] == name)]
+        assert (patch.get_x(), patch.get_x() + patch.get_width()) == pytest.approx((min(sizes_um), max(sizes_um)))
+    assert {text.get_text() for text in axes.texts} == {"1", "20", "0.005", "0.03"}
 
 
 def test_table_of_axes_moved_alone_has_the_widest_first(moved: StudyResult) -> None:
