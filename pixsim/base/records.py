@@ -7,9 +7,18 @@ import json
 import math
 from collections.abc import Iterable, Sequence
 from functools import reduce
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, TypeVar
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from pixsim.base.bounds import LARGEST, SMALLEST, brief, is_bool, parts_of
 from pixsim.base.errors import PixsimError, invalid
@@ -66,6 +75,28 @@ class Record(BaseModel, metaclass=RecordType):
     def _no_tiny_numbers(cls, value: object) -> object:
         """A fixed rule beside the bounds of a field: 0, without a sign, or a number that a processor divides by in usual time."""
         return not_tiny(value)
+
+    # Groups of fields that state one quantity in several words: of each group one alternative, of one or more fields, may be given.
+    ALTERNATIVES: ClassVar[tuple[tuple[tuple[str, ...], ...], ...]] = ()
+
+    @model_validator(mode="after")
+    def _states_each_quantity_once(self) -> Self:
+        for group in self.ALTERNATIVES:
+            stated = [", ".join(name for name in names if getattr(self, name) is not None) for names in group]
+            words = [names for names in stated if names]
+            if len(words) > 1:
+                raise ValueError(f"{' and '.join(words)} state the same quantity; give one of them")
+        return self
+
+    @classmethod
+    def restated_by(cls, names: Iterable[str]) -> set[str]:
+        """Return the fields that cannot be given together with those of `names`, since they state the same quantity."""
+        stated, restated = set(names), set[str]()
+        for group in cls.ALTERNATIVES:
+            others = [words for words in group if not stated.intersection(words)]
+            if len(others) < len(group):
+                restated.update(*others)
+        return restated
 
     @classmethod
     def __pydantic_init_subclass__(cls, **_: Any) -> None:

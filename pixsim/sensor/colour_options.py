@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -11,16 +11,12 @@ from pixsim.base.records import Record, as_list
 from pixsim.light.curves import RESPONSES, Curves, QuantumEfficiencies, Sensitivities, Transmittances
 from pixsim.light.quantities import Fraction
 
-SAME_OF_COLOUR = (("pattern", "matrix"), RESPONSES)
-
 
 def colour_excluded_by(names: Iterable[str]) -> set[str]:
     """The fields of [pixel.colour] that cannot be given together with those of `names`."""
-    given = set(names)
-    excluded = {word for same in SAME_OF_COLOUR if given & set(same) for word in same}
-    if given & set(RESPONSES) - {"sensitivities"}:
-        excluded.add("peak_quantum_efficiency")
-    return excluded - given
+    stated = set(names)
+    absolute = stated & set(RESPONSES) - {"sensitivities"}
+    return ColourOptions.restated_by(stated) | ({"peak_quantum_efficiency"} - stated if absolute else set())
 
 
 def efficiencies_of(colour: object) -> set[str]:
@@ -70,6 +66,8 @@ class ColourOptions(Record):
     low-pass filter before the pixels.
     """
 
+    ALTERNATIVES: ClassVar = ((("pattern",), ("matrix",)), tuple((name,) for name in RESPONSES))
+
     pattern: Literal["rggb", "grbg", "gbrg", "bggr", "quad_rggb", "rccb", "stacked"] | None = Field(
         None,
         description="unit cell of the filters, upper row first: four phases of Bayer's; 'quad_rggb', of 2 x 2 equal pixels each; "
@@ -95,16 +93,12 @@ class ColourOptions(Record):
     )
 
     @model_validator(mode="after")
-    def _states_each_quantity_once(self) -> Self:
-        if self.pattern and self.matrix:
-            raise ValueError("pattern and matrix state the same quantity; give one of them")
+    def _responses_are_complete(self) -> Self:
         given = [name for name in RESPONSES if getattr(self, name) is not None]
         if not given:
             others = [name for name in ColourOptions.model_fields if name in self.model_fields_set]
             beside = f" beside {', '.join(others)}" if others else ""
             raise ValueError(f"no response of the channels{beside}; allowed: one of {', '.join(RESPONSES)}")
-        if len(given) > 1:
-            raise ValueError(f"{' and '.join(given)} state the same quantity; give one of them")
         if self.sensitivities is not None and self.peak_quantum_efficiency is None:
             raise ValueError(
                 "sensitivities are relative; give peak_quantum_efficiency too, the largest quantum efficiency of all channels"

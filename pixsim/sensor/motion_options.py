@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+from typing import Annotated, ClassVar
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field
 
 from pixsim.base.records import Record, as_list
 from pixsim.optics.quantities import Distance
@@ -20,6 +20,8 @@ class Motion(Record):
     A camera that moves to the left has a scene that moves to the right. By default nothing moves.
     """
 
+    ALTERNATIVES: ClassVar = (tuple((name,) for name in VELOCITIES),)
+
     velocity_mm_per_s: Velocity | None = Field(None, description="velocity [x, y] of the objects, in a plane that faces the lens")
     image_um_per_s: Velocity | None = Field(None, description="velocity [x, y] of the image on the sensor, in its place")
     pixels_per_s: Velocity | None = Field(None, description="velocity [x, y] of the image in pixels, in place of both")
@@ -31,13 +33,6 @@ class Motion(Record):
         description="width on each side of the die that is not scored, beside that of the pixels, for light that comes from beyond "
         "it: at least half of the longest path on the sensor (absent: that half). Cases with one margin score the same part",
     )
-
-    @model_validator(mode="after")
-    def _one_velocity(self) -> Self:
-        given = [name for name in VELOCITIES if getattr(self, name) is not None]
-        if len(given) > 1:
-            raise ValueError(f"got {' and '.join(given)}; allowed: one of {', '.join(VELOCITIES)}")
-        return self
 
     @property
     def is_on(self) -> bool:

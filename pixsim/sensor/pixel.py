@@ -31,7 +31,7 @@ from pixsim.sensor.mismatch import E_PER_FC, ELECTRON_C, dark_current_of_geometr
 from pixsim.sensor.pixel_options import ABSOLUTE_ZERO_C, BORDER_PIXELS, NO_TECHNOLOGY, STANDS_FOR, Pixel, PixelOptions
 from pixsim.sensor.quantities import WELL_RANGE_E, AbsorbedWavelength, AbsorptionDepth, HotMedian, HotSpread
 from pixsim.sensor.saturation import full_well_for_e
-from pixsim.sensor.stack_options import StackOptions, stack_excluded_by
+from pixsim.sensor.stack_options import StackOptions
 from pixsim.sensor.technology import Junction, Technology, load_technology, number_of, with_fill_factor_law
 from pixsim.sensor.unit_slips import slip_hint
 
@@ -777,7 +777,7 @@ def stack_options(pixel: PixelOptions, technology: Technology) -> StackOptions |
     if not (values if pixel.stack is None else pixel.stack.enabled):
         return None
     own = pixel.stack.model_dump(exclude_none=True, exclude={"enabled"}) if pixel.stack else {}
-    restated = stack_excluded_by(own)
+    restated = StackOptions.restated_by(own)
     options = StackOptions(**{name: value for name, value in values.items() if name not in restated} | own)
     if missing := [name for name in ("height_um", "index") if getattr(options, name) is None]:
         hint = "Give them in [pixel.stack], or stack_… in the technology's file."

@@ -2,25 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field
 
 from pixsim.base.records import Record, as_list
 from pixsim.sensor.quantities import Crosstalk, DiffusionLength, HalfPitch, RefractiveIndex, SiliconDepth, StackHeight
-
-# Words of a stack that state the same quantity.
-SAME_OF_STACK = (({"shift"}, {"shift_um"}), ({"crosstalk"}, {"depletion_um", "diffusion_length_um"}))
-
-
-def stack_excluded_by(names: Iterable[str]) -> set[str]:
-    """The fields of a stack that cannot be given together with those of `names`."""
-    given, excluded = set(names), set[str]()
-    for one, other in SAME_OF_STACK:
-        excluded |= (other if given & one else set()) | (one if given & other else set())
-    return excluded - given
-
 
 MICROLENSES = Literal["none", "square"]
 SHIFTS = Literal["none", "optimal"]
@@ -33,6 +20,8 @@ class StackOptions(Record):
     Values of None are those of the technology. Without any of them, a pixel collects the light that falls on its photodiode, from
     every direction alike.
     """
+
+    ALTERNATIVES: ClassVar = ((("shift",), ("shift_um",)), (("crosstalk",), ("depletion_um", "diffusion_length_um")))
 
     enabled: bool = Field(True, description="false: no stack at all, whatever the technology or the other values here state")
     height_um: StackHeight | None = Field(
@@ -60,12 +49,3 @@ class StackOptions(Record):
     crosstalk: Crosstalk | None = Field(
         None, description="in place of diffusion: share of a pixel's charge that its four neighbours collect together"
     )
-
-    @model_validator(mode="after")
-    def _states_each_quantity_once(self) -> Self:
-        if self.shift is not None and self.shift_um is not None:
-            raise ValueError("shift and shift_um state the same quantity; give one of them")
-        diffusion = [name for name in ("depletion_um", "diffusion_length_um") if getattr(self, name) is not None]
-        if self.crosstalk is not None and diffusion:
-            raise ValueError(f"crosstalk and {', '.join(diffusion)} state the same quantity; give one of them")
-        return self

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, get_args
 
 from pydantic import Field, create_model, model_validator
 
@@ -85,6 +85,11 @@ class Technology(NumbersOfPixels):
 
     Beside these fields it has the numbers that `PixelOptions` declares with a value for processes that state none.
     """
+
+    ALTERNATIVES: ClassVar = (
+        (("a_vt_mv_um", "follower_area_um2"), ("offset_fpn",)),
+        (("stack_crosstalk",), ("stack_depletion_um", "stack_diffusion_length_um")),
+    )
 
     name: str = Field(description="name in results")
     feature_size_um: Annotated[float, Field(ge=1e-4, le=1e3, description="feature size F of the process")]
@@ -179,8 +184,6 @@ class Technology(NumbersOfPixels):
         if (self.prnu is None) == (self.prnu_um is None):
             raise ValueError(f"got {'neither prnu nor' if self.prnu is None else 'both prnu and'} prnu_um; give one of them")
         layout = [name for name in ("a_vt_mv_um", "follower_area_um2") if getattr(self, name) is not None]
-        if self.offset_fpn is not None and layout:
-            raise ValueError(f"{' and '.join(layout)} and offset_fpn state the same quantity; give one of them")
         if self.offset_fpn is None and len(layout) < 2:
             got = f"{layout[0]} alone" if layout else "no offsets"
             raise ValueError(f"got {got}; give offset_fpn, or both a_vt_mv_um and follower_area_um2")
@@ -188,13 +191,6 @@ class Technology(NumbersOfPixels):
             raise ValueError(
                 "a_vt_mv_um with full_well_e_per_um2: the node capacitance of a pinned photodiode is unknown; give offset_fpn"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _stack_is_consistent(self) -> Self:
-        diffusion = [name for name in ("stack_depletion_um", "stack_diffusion_length_um") if getattr(self, name) is not None]
-        if self.stack_crosstalk is not None and diffusion:
-            raise ValueError(f"stack_crosstalk and {', '.join(diffusion)} state the same quantity; give one of them")
         return self
 
     @model_validator(mode="after")

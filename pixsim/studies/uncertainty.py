@@ -29,7 +29,7 @@ from pixsim.light.quantities import MIN_FRACTION
 from pixsim.sensor.pixel import ABSORPTION_DEPTH_UM, absorbed_share
 from pixsim.sensor.pixel_options import PixelOptions, excluded_by
 from pixsim.sensor.spread import Spread
-from pixsim.sensor.stack_options import StackOptions, stack_excluded_by
+from pixsim.sensor.stack_options import StackOptions
 from pixsim.sensor.technology import Junction, Technology
 from pixsim.studies.settings import Study
 from pixsim.viewer.metric_registry import metrics_named
@@ -341,7 +341,7 @@ def given_for_process(pixel: PixelOptions) -> set[str]:
     if pixel.stack is None:
         return replaced
     own = set(StackOptions.model_fields) if not pixel.stack.enabled else set(pixel.stack.model_dump(exclude_none=True))
-    return replaced | {f"stack_{name}" for name in own | stack_excluded_by(own)}
+    return replaced | {f"stack_{name}" for name in own | StackOptions.restated_by(own)}
 
 
 def settings_of(study: Study, unknowns: Sequence[Unknown], draw: Mapping[str, float]) -> dict[str, Any]:

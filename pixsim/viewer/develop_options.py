@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, cast
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, cast
 
-from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema, model_validator
+from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema
 
 from pixsim.base.bounds import brief
 from pixsim.base.errors import invalid
@@ -145,17 +145,11 @@ ToneCurve = Annotated[
     rows_schema(ALLOWED_TONE, {"enum": [*TONE_CURVES], "type": "string"}),
 ]
 
-SAME_RADIUS = ("sharpen_radius_px", "sharpen_radius_cy_per_deg")
-
-
-def develop_excluded_by(names: Iterable[str]) -> set[str]:
-    """Return the fields of [develop] that cannot be given together with those of `names`."""
-    given = set(names)
-    return set(SAME_RADIUS) - given if given & set(SAME_RADIUS) else set()
-
 
 class Develop(Record):
     """How the camera makes a picture of a raw frame; what is about colours is for frames with colour filters only."""
+
+    ALTERNATIVES: ClassVar = ((("sharpen_radius_px",), ("sharpen_radius_cy_per_deg",)),)
 
     denoise: Denoise = Field(
         "none",
@@ -208,12 +202,6 @@ class Develop(Record):
     tone_white: Annotated[float, Field(ge=1, le=1e6)] = Field(
         4.0, description="of 'reinhard': w, the luminance, 1 for the scene's white, that the display shows as its white"
     )
-
-    @model_validator(mode="after")
-    def _radius_is_stated_once(self) -> Self:
-        if self.sharpen_radius_px is not None and self.sharpen_radius_cy_per_deg is not None:
-            raise ValueError(f"{' and '.join(SAME_RADIUS)} state the same quantity; give one of them")
-        return self
 
     @property
     def denoiser(self) -> str:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from pixsim.base.problems import Words
 from pixsim.base.records import Record
@@ -16,17 +15,11 @@ Luminance = Annotated[float, Field(ge=1e-12, le=1e15)]  # the disc of the sun: 1
 
 Radiance = Annotated[float, Field(ge=1e-15, le=1e12)]
 
-WHITES = "white", "white_cd_per_m2", "white_w_per_m2_sr"  # fields of a display, each of which says what its white is
-
-
-def display_excluded_by(given: Iterable[str]) -> set[str]:
-    """Return the fields of a display that say what its white is in other words than those in `given`."""
-    stated = set(WHITES).intersection(given)
-    return set(WHITES) - stated if stated else set()
-
 
 class Display(Record):
     """A monochrome CRT or LCD, its viewer, and the colour-difference metric."""
+
+    ALTERNATIVES: ClassVar = ((("white",), ("white_cd_per_m2",), ("white_w_per_m2_sr",)),)
 
     raster: Literal["fixed_size", "one_to_one"] = Field(
         "fixed_size", description="'fixed_size': the die fills `dots` dots of the display; 'one_to_one': one pixel is one dot"
@@ -71,10 +64,3 @@ class Display(Record):
         "bradford",
         description="of coloured pictures: how the white of the scene becomes that of the display, ideal and sensor alike",
     )
-
-    @model_validator(mode="after")
-    def _one_white(self) -> Self:
-        stated = [name for name in WHITES[1:] if getattr(self, name) is not None]
-        if self.white is not None and stated:
-            raise ValueError(f"got white = '{self.white}' and {' and '.join(stated)}; allowed: one of them. Leave the others out")
-        return self

@@ -11,17 +11,17 @@ from pixsim.light.curves import RESPONSES
 from pixsim.optics.lens_options import replaced_by_lens
 from pixsim.sensor.colour_options import colour_excluded_by
 from pixsim.sensor.pixel_options import excluded_by
-from pixsim.sensor.stack_options import stack_excluded_by
-from pixsim.viewer.develop_options import develop_excluded_by
-from pixsim.viewer.display_options import display_excluded_by
+from pixsim.sensor.stack_options import StackOptions
+from pixsim.viewer.develop_options import Develop
+from pixsim.viewer.display_options import Display
 
 # Table -> the words that those of another layer restate.
 RESTATED: dict[str, Callable[[Iterable[str]], set[str]]] = {
     "pixel": excluded_by,
-    "stack": stack_excluded_by,
+    "stack": StackOptions.restated_by,
     "colour": colour_excluded_by,
-    "develop": develop_excluded_by,
-    "display": display_excluded_by,
+    "develop": Develop.restated_by,
+    "display": Display.restated_by,
 }
 
 

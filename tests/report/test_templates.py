@@ -22,7 +22,8 @@ from pixsim.sensor.motion_options import VELOCITIES
 from pixsim.sensor.pixel_options import DATA_SHEET, STANDS_FOR, excluded_by
 from pixsim.sensor.spread import sheet_uncertainty
 from pixsim.studies.settings import Study
-from pixsim.viewer.develop_options import develop_excluded_by
+from pixsim.viewer.develop_options import Develop
+from pixsim.viewer.display_options import Display
 from pixsim.viewer.setting import Run
 
 RECORDS = {"sensor": Run, "study": Study}
@@ -41,11 +42,11 @@ def stated_once(table: dict[str, Any], words: bool) -> dict[str, Any]:
     motion = {name: value for name, value in table["motion"].items() if name not in VELOCITIES}
     velocity = VELOCITIES[-1 if words else 0]
     motion[velocity] = table["motion"][velocity]
-    others = ("white",) if words else ("white_cd_per_m2", "white_w_per_m2_sr")
-    display = {name: value for name, value in table["display"].items() if name not in others}
+    white = "white_cd_per_m2" if words else "white"
+    display = {name: value for name, value in table["display"].items() if name not in Display.restated_by([white])}
     develop: dict[str, Any] = {}
     for name in sorted(table["develop"], reverse=words):
-        if not develop_excluded_by([name]) & develop.keys():
+        if not Develop.restated_by([name]) & develop.keys():
             develop[name] = table["develop"][name]
     kept: dict[str, Any] = {}
     for name in sorted(table["pixel"], key=lambda name: (name in STANDS_FOR) != words):

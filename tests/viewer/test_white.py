@@ -179,9 +179,8 @@ def test_white_of_infrared_light_is_a_radiance() -> None:
 def test_luminance_of_light_that_nobody_sees_is_refused() -> None:
     with pytest.raises(pixsim.PixsimError, match=r"The white of light that nobody sees is a radiance \(Display\(white_w_per_m2_sr"):
         pixsim.evaluate(infrared(), Camera(die_mm=0.256), SEES_INFRARED, display=Display(dots=32, white_cd_per_m2=100.0))
-    both = Display(dots=32, white_cd_per_m2=100.0, white_w_per_m2_sr=4.0)
-    with pytest.warns(UserWarning, match=r"display\.white_cd_per_m2 changes nothing here"):
-        pixsim.evaluate(infrared(), Camera(die_mm=0.256), SEES_INFRARED, display=both)
+    with pytest.raises(pixsim.PixsimError, match="white_cd_per_m2 and white_w_per_m2_sr state the same quantity"):
+        Display(dots=32, white_cd_per_m2=100.0, white_w_per_m2_sr=4.0)
 
 
 @pytest.mark.parametrize("lamp", ["led_850nm", "led_940nm"])
