@@ -463,7 +463,7 @@ def test_reader_has_one_limit_of_size_that_can_be_set(targets, kind, monkeypatch
         reader(path)
     monkeypatch.setenv(MAX_FILE_VARIABLE, "1e-5")
     assert reader(path) is not None
-    for text in ("x", "0", "-1", "nan", "inf"):
+    for text in ("x", "-1", "nan", "inf"):
         monkeypatch.setenv(MAX_FILE_VARIABLE, text)
         with rejected(MAX_FILE_VARIABLE, "a size in GiB"):
             reader(path)

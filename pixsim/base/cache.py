@@ -55,7 +55,7 @@ folder = cache_folder
 
 def limit_bytes() -> int:
     """Size limit: $PIXSIM_CACHE_GIB, or else 4 GiB; 0 disables the cache. Raises PixsimError if it is not a size."""
-    return bytes_of_variable(LIMIT_VARIABLE, DEFAULT_GIB, may_be_0=True)
+    return bytes_of_variable(LIMIT_VARIABLE, DEFAULT_GIB)
 
 
 @lru_cache

@@ -12,6 +12,7 @@ import errno
 import hashlib
 import io
 import json
+import math
 import os
 import platform
 import shutil
@@ -182,20 +183,15 @@ def private_folder(name: str, quiet: bool = False) -> Path:
     with suppress(FileExistsError):
         folder.mkdir(0o700)
     status = folder.lstat()
-    if not stat.S_ISDIR(status.st_mode):
-        fault = "is a link or a file"
-    elif status.st_uid != os.geteuid() or not os.access(folder, os.W_OK):
-        fault = "belongs to another user, or cannot be written"
-    elif status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-        fault = "can be written by others"
-    else:
+    is_own = stat.S_ISDIR(status.st_mode) and status.st_uid == os.geteuid() and os.access(folder, os.W_OK)
+    if is_own and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         return folder
 
     alone = temporary_folder_of_process() / name
     alone.mkdir(0o700, exist_ok=True)
     if not quiet:
         hint = f"remove it, or set {FOLDER_VARIABLE} to a folder of yours"
-        warn(Note("machine", words=f"'{folder}' {fault}: {name} are kept for this command only; {hint}"))
+        warn(Note("machine", words=f"'{folder}' is not a folder that only you can write: {name} serve this command only; {hint}"))
     return alone
 
 
@@ -373,16 +369,15 @@ MAX_FILE_VARIABLE = "PIXSIM_MAX_FILE_GIB"
 DEFAULT_MAX_FILE_GIB = 4.0
 
 
-def bytes_of_variable(variable: str, default_gib: float, may_be_0: bool = False) -> int:
+def bytes_of_variable(variable: str, default_gib: float) -> int:
     """Bytes of an environment variable in GiB, or else of the default. Raises PixsimError if it is not a size."""
     text = os.environ.get(variable, str(default_gib))
     try:
         gib = float(text)
     except ValueError:
-        gib = -1.0
-    if not 0 <= gib < 1e9 or (gib == 0 and not may_be_0):
-        allowed = "a size in GiB, at least 0" if may_be_0 else "a size in GiB, above 0"
-        raise invalid(variable, f"'{text}'", allowed, f"Unset it for the default of {default_gib:g} GiB.")
+        gib = math.nan
+    if not 0 <= gib < 1e9:
+        raise invalid(variable, f"'{text}'", "a size in GiB, at least 0", f"Unset it for the default of {default_gib:g} GiB.")
     return int(gib * GIB)
 
 

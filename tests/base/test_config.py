@@ -520,7 +520,7 @@ def test_incomplete_sheet_names_what_it_lacks() -> None:
     """Not only the pitch that the transistors of a process leave, which nobody chose."""
     with pytest.raises(PixsimError, match=r"^pixel\.pitch_um: got 2\.4; .*No technology was chosen.*Give dark_current_e_per_s"):
         derive(Pixel(pitch_um=2.4, full_well_e=6000, read_noise_e=1.5, quantum_efficiency=0.6))
-    with pytest.raises(PixsimError, match="transistors of 0.35um fill the pixel"):
+    with pytest.raises(PixsimError, match=r"transistors of 0.35um fill the pixel"):
         derive(Pixel(technology="0.35um", pitch_um=2.4))
 
 
