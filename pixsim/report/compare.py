@@ -209,16 +209,14 @@ def comparison_document(result: Comparison, warned: Collection[str] = ()) -> Doc
     """
     answers = [_answer(result, other) for other in result.names[1:]]
     common = Fact("; ".join(common_words(result.job)))
-    lead = (*facts(result), common, *(note for note in notes(result) if note not in warned))
-    made = f"{result.shown.scene}, seed {result.shown.first.settings.seed}"
+    new_notes = [note for note in notes(result) if note not in warned]
     return Document(
         command="compare",
         kind="comparison of sensors",
         title=" against ".join(result.names),
         data=data(result),
-        cell=(*answers, Plot(lambda: scores_plate(result)), *lead, made),
         answers=answers,
-        lead=lead,
+        lead=(Plot(lambda: scores_plate(result)), *facts(result), common, *new_notes),
         about=(DELTA_E,) if judged_by_delta_e(result.job.base[0]) else (),
         data_file=JSON_FILE,
     )

@@ -51,7 +51,6 @@ from pixsim.show.document import (
     Slider,
     Strong,
     Text,
-    pairs,
     plain_text,
 )
 from pixsim.show.pages import Plate, figure_files
@@ -161,16 +160,14 @@ def run_document(result: RunResult, warned: Collection[str] = ()) -> Document:
     header, judged = result.irradiance.header, judged_by_delta_e(result.settings)
     scene = Path(str(header.get("scene", header.get("source", "a picture of another program")))).stem
     answer = run_answer(result)
-    lead = (*facts(result), *(note for note in notes(result) if note not in {*answer.below, *warned}))
-    numbers = pairs("statistics", {name: result.statistics[0][name] for name in shown_statistics(result)})
+    new_notes = [note for note in notes(result) if note not in {*answer.below, *warned}]
     return Document(
         command="run",
         kind="picture of one sensor",
         title=f"{scene} with {result.score.physics.pitch_um:g} µm pixels",
         data=data(result),
-        cell=(answer, Plot(lambda: score_plate(result.score)), numbers, *lead),
         answers=(answer,),
-        lead=lead,
+        lead=(Plot(lambda: score_plate(result.score)), *facts(result), *new_notes),
         about=(DELTA_E_WORDS,) if judged else (),
         sections=(budgets_section(budgets_of(result)),),
         data_file="score.json",
@@ -206,7 +203,7 @@ def run_page(result: RunResult, files: RunFiles = USUAL, progress: Progress | No
     sensor = whole_picture(score.image, f"{pixel_size(score.physics.pitch_um)} pixels")
     return replace(
         document,
-        lead=(Slider("slider", "", whole_picture(score.ideal, "ideal image"), (sensor,)), *document.lead),
+        lead=(Slider("slider", "", whole_picture(score.ideal, "ideal image"), (sensor,)), *tuple(document.lead)[1:]),
         sections=(*_sections(result, delta_e), *document.sections),
         writers=(write_light, write_arrays),  # the largest file by far first
         files={

@@ -203,7 +203,7 @@ class Document(DocumentRecord):
     answers, lead : what a page, a terminal and a notebook show first
     about : what a page says of them to those who read such a page for the first time
     sections : of the page; of those that are brief, a terminal and a notebook have the blocks
-    terminal, cell : what a terminal and a notebook show in place of all that
+    terminal : what a terminal shows in place of all that
     files : name -> content of further files
     writers : write others to a folder, side by side: arrays that are in no file's form in memory
     parts : folder -> further document, published together with this one
@@ -215,7 +215,6 @@ class Document(DocumentRecord):
     title: str
     data: Mapping[str, Any]
     terminal: Iterable[Block] = ()
-    cell: Iterable[Block] = ()
     answers: Iterable[Answer] = ()
     lead: Iterable[Block] = ()
     about: Iterable[Block] = ()

@@ -36,7 +36,7 @@ BLOCKS: tuple[Block, ...] = (
 
 
 def document(**changes: object) -> Document:
-    values = {"title": f"A {EVIL}", "data": {"value": 1.5}, "terminal": BLOCKS, "cell": (Answer(EVIL, (EVIL,)), *BLOCKS)}
+    values = {"title": f"A {EVIL}", "data": {"value": 1.5}, "terminal": BLOCKS}
     values |= {
         "answers": (Answer(EVIL, (EVIL, "below")),),
         "sections": (Section("all", EVIL, BLOCKS), Section("more", "More", "text"), Section("empty", "Empty", ())),
@@ -91,7 +91,7 @@ def test_json_states_the_schema() -> None:
 
 
 def test_every_string_is_escaped() -> None:
-    for shown in (render.html(document()), render.notebook(document())):
+    for shown in (render.html(document()), render.notebook(document(lead=BLOCKS))):
         assert "<script" not in shown
         assert {"code", "b", "a", "img", "table"} <= set(Elements(shown).tags)
     assert 'href="a%20%22b%22.csv"' in render.html(document())
