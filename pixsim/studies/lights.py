@@ -300,14 +300,9 @@ def render_on_film(
         return Light(image, camera, replace(film, limit=limit), noise), plan
 
 
-def smallest_pixels(study: Study) -> list[PixelPhysics]:
-    """Return the smallest pixel of each technology of a study."""
-    return [physics_of(study, name, float(study_pitches_um(study, name).min())) for name in study.technologies]
-
-
 def finest_pixel(study: Study) -> PixelPhysics:
     """Return the pixel with the smallest photodiode of a study. Raises PixsimError if a stack passes less light than it detects."""
-    smallest = smallest_pixels(study)
+    smallest = [physics_of(study, name, float(study_pitches_um(study, name).min())) for name in study.technologies]
     for physics in smallest:
         check_efficiency(physics)
     return min(smallest, key=lambda physics: physics.aperture_side_um)

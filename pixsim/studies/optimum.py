@@ -31,7 +31,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, wraps
 from itertools import product
 from typing import Any
 
@@ -250,31 +250,40 @@ def curve_covariance(one: Array, other: Array, stiffness: float, ripple: float) 
     return smooth + ripple**2 * ripple_covariance(one, other) if ripple else smooth
 
 
-def ripple_covariance(one: Array, other: Array) -> Array:
-    """Return the covariance of ripples of amplitude 1, (one, other): exp(-(a - b)²/2ℓ²) with ℓ = `RIPPLE_LENGTH`."""
-    return _ripple_covariance(np.asarray(one, float).tobytes(), np.asarray(other, float).tobytes())
+Covariance = Callable[[Array, Array], Array]
 
 
-@lru_cache(maxsize=8)
-def _ripple_covariance(one: bytes, other: bytes) -> Array:
-    distance = (np.frombuffer(one)[:, None] - np.frombuffer(other)) / RIPPLE_LENGTH
-    covariance = np.exp(-(distance**2) / 2)
-    covariance.setflags(write=False)
-    return covariance
+def cached_for_places(covariance: Covariance) -> Covariance:
+    """Return a covariance that is computed once for the same places: the posteriors of a fit, about a hundred, share them."""
+
+    @lru_cache(maxsize=8)
+    def computed(row_places: bytes, column_places: bytes) -> Array:
+        result = covariance(np.frombuffer(row_places)[:, None], np.frombuffer(column_places))
+        result.setflags(write=False)
+        return result
+
+    @wraps(covariance)
+    def of_places(row_places: Array, column_places: Array) -> Array:
+        return computed(np.asarray(row_places, float).tobytes(), np.asarray(column_places, float).tobytes())
+
+    return of_places
 
 
-def wiener_covariance(one: Array, other: Array) -> Array:
-    """Return the covariance of a Wiener process integrated twice from 0, (one, other): ∫ (a - w)² (b - w)²/4 dw to min(a, b)."""
-    return _wiener_covariance(np.asarray(one, float).tobytes(), np.asarray(other, float).tobytes())
+@cached_for_places
+def ripple_covariance(a: Array, b: Array) -> Array:
+    """Return the covariance of ripples of amplitude 1, (n, m), at places (n,) and (m,): exp(-(a - b)²/2ℓ²), ℓ = `RIPPLE_LENGTH`."""
+    distance = (a - b) / RIPPLE_LENGTH
+    return np.asarray(np.exp(-(distance**2) / 2))
 
 
-@lru_cache(maxsize=8)  # the posteriors of a fit, about a hundred, share their places
-def _wiener_covariance(one: bytes, other: bytes) -> Array:
-    a, b = np.frombuffer(one)[:, None], np.frombuffer(other)
-    least, apart = np.minimum(a, b), np.abs(a - b)
-    covariance = np.asarray(least**3 * (least**2 / 5 + apart * least / 2 + apart**2 / 3) / 4)
-    covariance.setflags(write=False)
-    return covariance
+@cached_for_places
+def wiener_covariance(a: Array, b: Array) -> Array:
+    """Return the covariance of a Wiener process integrated twice from 0, (n, m), at places (n,) and (m,).
+
+    It is ∫ (a - w)² (b - w)²/4 dw, from 0 to min(a, b).
+    """
+    least, distance = np.minimum(a, b), np.abs(a - b)
+    return np.asarray(least**3 * (least**2 / 5 + distance * least / 2 + distance**2 / 3) / 4)
 
 
 def quadratic(places: Array) -> Array:

@@ -163,13 +163,8 @@ def threshold_of(
     reason = ""
     if low is None and high is None:
         best = search.best
-        if search.at[best] >= 0:
-            reason = "d′ is above it at all of them"
-        elif min(search.at) < best < max(search.at):
-            most = options.threshold * math.exp(search.at[best])
-            reason = f"d′ is at most {most:.3g}, at {start * math.exp(best):.4g}"
-        else:
-            reason = search.why_not
+        largest = options.threshold * math.exp(search.at[best])
+        reason = search.why_not or f"d′ is at most {largest:.3g}, at {start * math.exp(best):.4g}"
     value, upper_value = (None if away is None else start * math.exp(away) for away in (low, high))
     return Threshold(name, options.threshold, value, tuple(values), reason, upper_value)
 

@@ -259,20 +259,20 @@ def unknowns_of_technology(technology: Technology, name: str, known: Sequence[st
             spread = Spread(range=ends, distribution=technology.distributions.get(number, "uniform"))
             unknowns[number] = Unknown(number, technology.numbers[number], spread, name, bounds_of(technology, number))
 
-    for pair in ORDERED:
-        small, large = (unknowns.get(number) for number in pair)
-        values = [technology.numbers[number] for number in pair if number in technology.numbers]
-        if len(values) < 2 or not (small or large):
+    for smaller, larger in ORDERED:
+        small, large = unknowns.get(smaller), unknowns.get(larger)
+        if smaller not in technology.numbers or larger not in technology.numbers:
             continue
-        highest = float(small.at(np.array([1 - HALF_CELL]))[0]) if small else values[0]
-        lowest = float(large.at(np.array([HALF_CELL]))[0]) if large else values[1]
+        small_value, large_value = technology.numbers[smaller], technology.numbers[larger]
+        highest = float(small.at(np.array([1 - HALF_CELL]))[0]) if small else small_value
+        lowest = float(large.at(np.array([HALF_CELL]))[0]) if large else large_value
         if highest <= lowest:
             continue
-        limit = values[1] if large is None else values[0] if small is None else sum(values) / 2
+        limit = (small_value + large_value) / 2 if small and large else small_value if large else large_value
         if small:
-            unknowns[small.quantity] = replace(small, allowed=(small.allowed[0], limit))
+            unknowns[smaller] = replace(small, allowed=(small.allowed[0], limit))
         if large:
-            unknowns[large.quantity] = replace(large, allowed=(limit, large.allowed[1]))
+            unknowns[larger] = replace(large, allowed=(limit, large.allowed[1]))
     return list(unknowns.values())
 
 
