@@ -166,7 +166,7 @@ def target(width: Side = 1024, height: Side = 1024, die_mm: DieWidth = DIE_MM, *
 CHARTS: dict[str, Callable[..., NDArray[np.float32]]] = {
     chart.__name__: chart for chart in (csf, flat, siemens_star, slanted_edge, target)
 }
-OF_A_DIE = (csf.__name__, target.__name__)
+CHARTS_OF_A_DIE = (csf.__name__, target.__name__)
 
 
 def make_chart(
@@ -190,8 +190,8 @@ def make_chart(
     if any(not 2 <= value <= 32768 for value in size.values()):
         got = " and ".join(f"{key} {value}" for key, value in size.items())
         raise invalid("chart size", got, "2 to 32768 texels per side")
-    if die_mm is not None and (kind not in OF_A_DIE or not 0 < die_mm < 1000):
-        raise invalid("chart die_mm", f"{die_mm:g} for {kind}", f"0 to 1000 mm, for {' and '.join(OF_A_DIE)} only")
+    if die_mm is not None and (kind not in CHARTS_OF_A_DIE or not 0 < die_mm < 1000):
+        raise invalid("chart die_mm", f"{die_mm:g} for {kind}", f"0 to 1000 mm, for {' and '.join(CHARTS_OF_A_DIE)} only")
     if target and kind != "target":
         raise invalid(f"chart {', '.join(target)}", f"a value for {kind}", "a value for target only")
     return CHARTS[kind](**size, **({} if die_mm is None else {"die_mm": die_mm}), **target)

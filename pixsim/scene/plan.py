@@ -57,8 +57,8 @@ STACK, FILM = "pixel stack", "oversampling"  # subjects of decisions
 BANDS_SHARE, SPECTRUM_SHARE = 0.25, 0.8
 LUMINANCE_SLACK = 5.0  # times the tolerance: error of the luminance of strongly coloured surfaces
 COLOUR_SLACK = 2.0  # the same for a channel of a colour sensor
-LEAST_OF_WHITE = 0.1  # of the signal of a neutral surface: less of it than that counts as much
-FEWEST_RENDERS = 2  # whose difference shows their noise
+MIN_SHARE_OF_WHITE = 0.1  # of the signal of a neutral surface: less of it than that counts as much
+MIN_RENDERS = 2  # whose difference shows their noise
 RESPONSES = ("0.35um", "4t-bsi")  # technologies with the two packaged response curves, for a plan without a pixel
 
 
@@ -245,7 +245,7 @@ class Plan:
             return math.inf
         fewest = rules.FEWEST_OF_A_PATH if self.film.chart is None else rules.FEWEST_OF_A_CHART
         fewest = self.samples.spp if self.samples.given_spp else fewest
-        return self.most_samples / (fewest * self.light.passes * FEWEST_RENDERS)
+        return self.most_samples / (fewest * self.light.passes * MIN_RENDERS)
 
     @property
     def bound_e(self) -> float:
@@ -457,8 +457,8 @@ def _witnesses(derived: Sequence[PixelPhysics]) -> list[Witness]:
         return [*map(Witness, responses), Witness(photopic_efficiency, LUMINANCE_SLACK)]
 
     # No slack for X, Y and Z: a ColorChecker is then right within 0.04 ΔE under smooth lamps and lines.
-    channels = [Witness(channel, slack=COLOUR_SLACK, least=LEAST_OF_WHITE) for channel in responses]
-    return [*channels, *(Witness(observer(number), least=LEAST_OF_WHITE) for number in range(3))]
+    channels = [Witness(channel, slack=COLOUR_SLACK, least=MIN_SHARE_OF_WHITE) for channel in responses]
+    return [*channels, *(Witness(observer(number), least=MIN_SHARE_OF_WHITE) for number in range(3))]
 
 
 def _lights(

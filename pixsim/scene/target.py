@@ -22,7 +22,7 @@ from pixsim.optics.camera import Camera
 Size = Annotated[float, Field(ge=1e-9, le=1e9)]
 SIZES = ("size_mm", "size_mrad", "size_um")
 BAR_LENGTH = 5.0  # widths, as the bars of MIL-STD-150A and of the USAF chart
-LEAST_STEP = 1e-5  # of the background: float32 holds a smaller change with an error of more than 0.6 %
+MIN_STEP = 1e-5  # of the background: float32 holds a smaller change with an error of more than 0.6 %
 
 
 class Target(Record):
@@ -95,10 +95,10 @@ class Target(Record):
             cover = disc_cover(axes[0], axes[1], half)
         else:
             cover = np.outer(*(share_between(edges, *between) for edges, between in zip(axes, ends, strict=True)))
-        if 0 < (step := abs(self.contrast) * float(cover.max())) < LEAST_STEP:
+        if 0 < (step := abs(self.contrast) * float(cover.max())) < MIN_STEP:
             got = f"{self.contrast:g}, which changes the light of no film cell by more than {step:.2g}"
             hint = "The signal is linear in the contrast: choose a larger one and scale its result, or a finer film."
-            raise invalid("contrast", got, f"0, or a change of at least {LEAST_STEP:g}, which float32 holds", hint)
+            raise invalid("contrast", got, f"0, or a change of at least {MIN_STEP:g}, which float32 holds", hint)
         return (1 + self.contrast * cover).astype(np.float32)
 
 

@@ -77,7 +77,11 @@ def main(variant: str | None) -> None:
         sys.stdout.write(json.dumps({"fault": str(error), "refused": True}))
         return
     expected_lx = closed_form_lx(scene.camera(), RESOLUTION)
-    facts = {"fault": picture_fault(illuminance_lx, expected_lx), "variant": scene.choice.variant, "llvm": scene.choice.llvm_path}
+    facts: dict[str, Any] = {
+        "fault": picture_fault(illuminance_lx, expected_lx),
+        "variant": scene.choice.variant,
+        "llvm": scene.choice.llvm_path,
+    }
     facts |= {"mean_lx": float(illuminance_lx.mean()), "expected_lx": float(expected_lx.mean())}
     sys.stdout.write(json.dumps(facts | {"threads": int(import_module("drjit").thread_count())}))
 
