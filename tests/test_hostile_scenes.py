@@ -104,15 +104,14 @@ SPHERE = '<shape type="sphere"><transform name="to_world"><translate z="3"/></tr
 # Way -> (files that the attacker puts there, how it is loaded, the scene, text of the error).
 WAYS = {
     "another plugin beside the scene": ("plugins/evil.so", "pixsim", SPHERE.format('<bsdf type="evil"/>'), "bsdf: got 'evil'"),
-    # Beside the scene, in the current folder and in a <path> at once, since each takes a process that renders.
+    # Beside the scene and in the current folder at once, since each takes a process that renders.
     "known plugins": (
-        ("plugins/thinlens.so", "plugins/rectangle.so", "plugins/sphere.so", "q/plugins/thinlens.so", "q/plugins/sphere.so"),
+        ("plugins/thinlens.so", "plugins/rectangle.so", "plugins/sphere.so"),
         "pixsim",
-        '<path value="q"/><shape type="rectangle"/>' + SPHERE.format(""),
+        '<shape type="rectangle"/>' + SPHERE.format(""),
         "",
     ),
     "a path in the name": ("trav.so", "pixsim", SPHERE.format('<bsdf type="../trav"/>'), "bsdf: got a text of 7 characters"),
-    "a <path>": ("q/plugins/evil.so", "pixsim", '<path value="q"/>' + SPHERE.format('<bsdf type="evil"/>'), "bsdf: got 'evil'"),
     # The emitter of a packaged scene; a spectrum and a film by load_dict.
     "plugins of a packaged scene": (("plugins/area.so", "plugins/d65.so", "plugins/specfilm.so"), "resolver", "csf", ""),
 }
@@ -130,7 +129,7 @@ def attacked(folder: Path, way: str, how: str | None = None) -> dict:
 
 
 # Each takes a process. Refused by their name as "another plugin beside the scene" is:
-BY_NAME = ("a path in the name", "a <path>")
+BY_NAME = ("a path in the name",)
 
 
 @pytest.mark.parametrize("way", [pytest.param(way, marks=pytest.mark.slow) if way in BY_NAME else way for way in WAYS])
@@ -148,26 +147,6 @@ def test_foreign_plugin_would_be_seen(tmp_path):
 
 
 # --- The text that Mitsuba gets ----------------------------------------------------------------------------------------------
-
-
-def test_path_is_resolved_and_removed(tmp_path):
-    """Files are found in the folder of a <path> first, the last one before others; Mitsuba never sees the element."""
-    for folder, nm in (("first", 500), ("second", 600)):
-        (tmp_path / folder).mkdir()
-        (tmp_path / folder / "lamp.spd").write_text(f"{nm} 1\n{nm + 100} 1\n")
-    path = tmp_path / "scene.xml"
-    lamp = '<emitter type="constant"><spectrum name="radiance" filename="lamp.spd"/></emitter>'
-    for folders, nm in (('<path value="first"/>', 500), ('<path value="first"/><path value="second"/>', 600)):
-        path.write_text(f'<scene version="3.0.0">{folders}{lamp}</scene>', encoding="utf-8")
-        text = open_scene(path, {}).text
-        assert "<path" not in text
-        assert f"{nm}" in text
-    outside = tmp_path / "second/part.xml"
-    outside.write_text('<scene version="3.0.0"/>', encoding="utf-8")
-    inner = tmp_path / "first/scene.xml"
-    inner.write_text(f'<scene version="3.0.0"><path value="{tmp_path / "second"}"/><include filename="part.xml"/></scene>')
-    with pytest.raises(PixsimError, match="of another folder"):
-        open_scene(inner, {})
 
 
 def test_judged_text_has_what_the_file_has(tmp_path):
@@ -239,6 +218,7 @@ REFUSED = {
     "a camera of Mitsuba alone": ('<sensor type="irradiancemeter"/>', "thinlens.* may stand beside it, and is not used"),
     "an include that is not there": ('<include filename="lamp.xml"/>', "lamp.xml', which does not exist, in line 1 of 'scene.xml'"),
     "a property of another type": ('<bsdf type="twosided"><string name="x" value="y"/></bsdf>', "twosided: got <string>"),
+    "a folder for plugins": ('<path value="q"/>', "a <path> in line 1.*assets='FOLDER'"),
     "text for a number": ('<shape type="sphere"><string name="radius" value="1"/></shape>', "sphere.radius: got <string>"),
     "no number": ('<shape type="sphere"><float name="radius" value="1m"/></shape>', "floating point value a text of 2"),
     "nan": ('<shape type="sphere"><float name="radius" value="nan"/></shape>', "sphere.radius: got nan"),

@@ -156,24 +156,24 @@ def check_tree(tree: Tree) -> Tree:
     another unit than nm, and for references that are circular or deep, which Mitsuba would follow without limit.
     """
     for node in tree.nodes:
-        for name, (kind, value, _) in node.properties.items():
+        for name, (kind, value, text) in node.properties.items():
+            match kind:
+                case "Spectrum":
+                    values = np.array([*value.wavelengths, *value.values], float)
+                case "Float" | "Integer" | "Vector" | "Transform":
+                    values = np.array(value, float)
+                case "Color":
+                    values = np.array(numbers(text))
+                case _:
+                    continue
             what = f"{node.plugin}.{name}"
-            if kind == "Spectrum":
-                values = np.array([*value.wavelengths, *value.values], float)
-                if not value.uniform:
-                    _check_unit(what, value.wavelengths)
-            elif kind in ("Float", "Integer", "Vector", "Transform"):
-                values = np.array(value, float)
-                if kind == "Transform" and abs(np.linalg.det(values[:3, :3])) < MIN_VOLUME:
-                    raise invalid(what, value, "an invertible transform")
-            elif kind == "Color":
-                values = np.array(numbers(node.text_of(name)))
-            else:
-                continue
-
             wrong = values[~(np.abs(values) <= LARGEST)]
             if wrong.size:
                 raise invalid(what, f"{wrong[0]:g}", f"numbers from {-LARGEST:g} to {LARGEST:g}")
+            if kind == "Transform" and abs(np.linalg.det(values[:3, :3])) < MIN_VOLUME:
+                raise invalid(what, value, "an invertible transform")
+            if kind == "Spectrum" and not value.uniform:
+                _check_unit(what, value.wavelengths)
 
     references = {index: list(children(node, tree).values()) for index, node in enumerate(tree.nodes)}
     depth = [0] * len(tree.nodes)

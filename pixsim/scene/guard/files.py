@@ -1,8 +1,8 @@
 """Read a Mitsuba XML into a tree that pixsim has inspected, and write that tree anew for Mitsuba.
 
 Mitsuba's own parser recurses, blocks and allocates without bounds, and obeys encodings that pixsim would not. So Mitsuba never
-reads a file of XML: it gets the text that `written` makes of the tree. Includes, parameters and folders (<path>) are resolved
-here, in the order of Mitsuba, and are gone from the tree.
+reads a file of XML: it gets the text that `written` makes of the tree. Includes and parameters are resolved here, in
+the order of Mitsuba, and are gone from the tree.
 
 A scene may name files in its folder, in packaged data, and in a folder or file that a parameter of the user's names, such as
 `assets`: a downloaded scene cannot read the user's other folders. This holds for where links lead, and for includes as for
@@ -33,7 +33,6 @@ MAX_DEPTH = 24  # of nested elements; Mitsuba's two-sided materials double the w
 MAX_INCLUDES = 64
 MAX_INCLUDE_DEPTH = 8
 MAX_PARAMETERS = 512
-MAX_FOLDERS = 64
 MAX_EXPANDED = 16 << 20  # characters of all attributes after substitution
 MAX_SUBSTITUTED = 20_000  # parameters in all attributes
 OLDEST_VERSION = (2, 0, 0)  # Mitsuba rewrites the names of older scenes
@@ -65,7 +64,6 @@ class SceneFiles:
 
     path : of the scene's XML
     given : parameters that the user sets, which come before the defaults
-    folders : of <path>, the last one first
     root : the tree, complete when `read_scene` returns
     content : of the scene's XML
     """
@@ -75,7 +73,6 @@ class SceneFiles:
     content: str = ""
     names: set[str] = field(default_factory=set)
     defaults: dict[str, str] = field(default_factory=dict)
-    folders: list[Path] = field(default_factory=list)
     root: SceneElement | None = None
     _values: dict[str, str] = field(default_factory=dict)
     _left_bytes: int = MAX_XML
@@ -114,7 +111,7 @@ class SceneFiles:
 
         Raises PixsimError if there is none, and for one that is not within `roots`.
         """
-        folders = (*self.folders, including, self.folder, *self.assets, Path(), packaged_folder())
+        folders = (including, self.folder, *self.assets, Path(), packaged_folder())
         allowed = f"a file in '{self.folder}', its subfolders or the packaged scenes"
         if not name or "\0" in name:
             raise invalid(what, f"{name!r} in {place}", "the name of a file")
@@ -217,12 +214,13 @@ def _read(path: Path, scene: SceneFiles, includes_deep: int, deep: int) -> Scene
                 root = SceneElement(root.tag, named, root.children, root.file, root.line)
             open_elements[-1][-1].extend(root.children if root.tag == "scene" else (root,))
         elif tag == "path":
-            _take_folder(attributes.get("value", ""), path, scene)
+            hint = f"Name the folder of its files: {parameter(ASSETS, 'FOLDER')}."
+            raise invalid(f"scene '{path}'", f"a <path> in line {line}", "files by their path from the scene's folder", hint)
         open_elements.append((tag, attributes, line, []))
 
     def ends(_: str) -> None:
         tag, attributes, line, children = open_elements.pop()
-        if tag not in ("default", "include", "path"):
+        if tag not in ("default", "include"):
             open_elements[-1][-1].append(SceneElement(tag, attributes, tuple(children), path, line))
         elif children:
             raise invalid(f"scene '{path}'", f"an element within <{tag}> in line {line}", "none")
@@ -263,19 +261,6 @@ def _take_default(attributes: dict[str, str], path: Path, scene: SceneFiles) -> 
     scene._values.setdefault(name, value)
     if len(scene._values) > MAX_PARAMETERS:
         raise invalid(f"scene '{path}'", f"more than {MAX_PARAMETERS} parameters", f"up to {MAX_PARAMETERS}")
-
-
-def _take_folder(name: str, path: Path, scene: SceneFiles) -> None:
-    """Add a folder in which files are looked for first, relative to the including file, the scene or the working directory."""
-    got, allowed = f"a <path> whose value is {excerpt(name)}", "a folder that exists"
-    if len(scene.folders) >= MAX_FOLDERS:
-        raise invalid(f"scene '{path}'", f"more than {MAX_FOLDERS} <path> elements", f"at most {MAX_FOLDERS}")
-    if not name or "\0" in name:
-        raise invalid(f"scene '{path}'", got, allowed)
-    folder = next((place for place in (path.parent / name, scene.folder / name, Path(name)) if place.is_dir()), None)
-    if folder is None:
-        raise invalid(f"scene '{path}'", got, allowed)
-    scene.folders.insert(0, Path(os.path.abspath(folder)))
 
 
 def _included(name: str, path: Path, line: int, scene: SceneFiles, includes_deep: int) -> Path:
