@@ -214,11 +214,16 @@ def sheet_name(pixel: Pixel) -> str:
     return f"datasheet-{file_label(label_of(pixel.technology))}-{pixel.pitch_um:g}um"
 
 
+def value_text(value: float, digits: int = MAX_DIGITS) -> str:
+    """Return a value in significant digits, 0 for the rounding of a 0."""
+    return "0" if abs(value) < ROUNDING else number(value, digits)
+
+
 def measured_text(entry: Entry) -> str:
     """Return a measured value with the digits that its standard error allows."""
     if math.isfinite(entry.measured) and entry.standard_error > 0:
         return within_error(entry.measured, entry.standard_error)
-    return number(entry.measured, MAX_DIGITS, ROUNDING)
+    return value_text(entry.measured)
 
 
 def described(sheet: DataSheet) -> Answer:
@@ -251,7 +256,7 @@ def entry_rows(sheet: DataSheet) -> list[tuple[str, ...]]:
     for standard, entries in groupby(sheet.entries, attrgetter("standard")):
         rows.append((standard,))
         for entry in entries:
-            error, true = number(entry.standard_error, 2, ROUNDING), number(entry.true, MAX_DIGITS, ROUNDING)
+            error, true = value_text(entry.standard_error, 2), value_text(entry.true)
             rows.append((entry.quantity, entry.symbol, measured_text(entry), error, true, entry.unit))
     return rows
 
