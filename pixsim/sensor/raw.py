@@ -450,7 +450,7 @@ def has_pages(image: Image) -> bool:
 
 def _black_levels_of_tags(tags: Mapping[int, Any]) -> Array | None:
     """Return the cell of black levels that the tags of a TIFF state, (rows, columns); None if they do not make a cell."""
-    with suppress(TypeError, ValueError):
+    with suppress(IndexError, TypeError, ValueError):
         values = np.atleast_1d(np.asarray(tags[BLACK_LEVEL_TAG], float))
         if (values == values[0]).all():
             values = values[:1]
