@@ -54,7 +54,9 @@ NOTES = {
         "{share} of the die lies beyond the image circle of '{lens}', where no light arrives",
         True,
     ),
-    "lens_blur": NoteKind("the blur of a real lens has an error above its tolerance, in focus or out of it", "{words}", True),
+    "lens_blur": NoteKind(
+        "the blur of a real lens has an error above its tolerance, or an unknown one out of focus", "{words}", True
+    ),
     "focus": NoteKind(
         "nothing in view is in focus",
         "nothing in view is in focus: the camera focuses at {focus_m} m, and the scene is at {place}, where points are discs "
