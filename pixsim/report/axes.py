@@ -56,11 +56,11 @@ def shown_cases(cases: Sequence[Case[Study]]) -> list[Case[Study]]:
     return [case for case in cases if (case.at, case.alone) == (cases[0].at, cases[0].alone)][:SHOWN_CASES]
 
 
-def regrets_columns(found: Sequence[Regrets]) -> dict[str, Column]:
+def regrets_columns(all_regrets: Sequence[Regrets]) -> dict[str, Column]:
     """Return a table with a row for each condition and each weighted mean, of all combinations and metrics."""
-    names = list(dict.fromkeys(criterion.name for regrets in found for criterion in regrets.criteria))
+    names = list(dict.fromkeys(criterion.name for regrets in all_regrets for criterion in regrets.criteria))
     rows = []
-    for regrets in found:
+    for regrets in all_regrets:
         for criterion, at_best in zip(regrets.criteria, regrets.matrix.tolist(), strict=True):
             low_um, high_um = criterion.optimum.interval_um
             row = {"pixel": regrets.label, "metric": criterion.metric.name, "best_of": criterion.name, "weight": criterion.weight}
@@ -121,7 +121,7 @@ def cases_data(result: CasesResult, regrets: Sequence[Regrets]) -> dict[str, Any
         cases.append({"at": first.at} | {name: value for name, value in labels.items() if value} | light)
     content = {
         "left_out": list(result.left_out),
-        "regrets": [condition_regrets_data(of_metric) for of_metric in regrets],
+        "regrets": [condition_regrets_data(metric_regrets) for metric_regrets in regrets],
         "claims": [verdict.as_dict() for verdict in verdicts(result)],
     }
     return study_data(result, content, cases=cases)
@@ -131,9 +131,9 @@ def axes_files(study: Study) -> set[str]:
     """Return the names of all files that the report may have."""
     cases = cases_of(study)
     plates = [*plate_names(study), *(f"{REGRETS}_{number + 1}" for number in range(SHOWN_REGRETS))]
-    own = {f"{case.folder}/{name}" for case in shown_cases(cases) for name in report_files(case.settings)}
+    case_files = {f"{case.folder}/{name}" for case in shown_cases(cases) for name in report_files(case.settings)}
     plates += [NAME] * study.noise_budget
-    return {"report.html", "summary.json", SETTINGS_FILE, "optima.csv", REGRETS_FILE, *figure_files(plates), *own}
+    return {"report.html", "summary.json", SETTINGS_FILE, "optima.csv", REGRETS_FILE, *figure_files(plates), *case_files}
 
 
 def study_report(result: StudyResult, workers: Workers, drawing: StudyDrawing) -> Document:
@@ -165,11 +165,11 @@ def axes_page(result: CasesResult, regrets: Sequence[Regrets], parts: Sequence[t
     alone = alone_plate(result)
     plates = [*axis_plates(result), *([alone] if alone else [])]
     plates += [
-        regrets_plate(of_metric, pitch_um).named(f"{REGRETS}_{number}")
-        for number, of_metric in enumerate(regrets[:SHOWN_REGRETS], 1)
+        regrets_plate(metric_regrets, pitch_um).named(f"{REGRETS}_{number}")
+        for number, metric_regrets in enumerate(regrets[:SHOWN_REGRETS], 1)
     ]
     first, *others = map(plot_of, plates or [delta_e_against_pitch(result.curves)])  # the first answers what was asked
-    tables = [table for of_metric in regrets for table in regrets_tables(of_metric)]
+    tables = [table for metric_regrets in regrets for table in regrets_tables(metric_regrets)]
     listed = [
         (Link(case.words or "the study's own settings", f"{case.folder}/report.html"), f": {optimum_line(part.curves[0])}")
         for case, part in parts

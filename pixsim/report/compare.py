@@ -122,19 +122,19 @@ def comparison_outline_document(job: ComparisonJob, out: Path) -> Document:
 
     out : folder that would be written
     """
-    shown, first = job.shown, job.shown.first
-    scene = first.scene.with_resolution(shown.film_width)
+    group, first = job.shown, job.shown.first
+    scene = first.scene.with_resolution(group.film_width)
     height, across = scene.film_shape(first.camera, scene.for_camera(first.camera))
     types = None if job.types is None else job.types.sample
     cost = _cost_of(job)
     data = {
-        "scene": shown.scene,
+        "scene": group.scene,
         "match": job.match,
         "repeats": job.repeats,
-        **shown.as_dict(),
+        **group.as_dict(),
         "film": {"samples": [height, across]},
-        "display": shown.display.model_dump(),
-        "sensors": {case.sensor: _case_data(case) for case in shown.cases},
+        "display": group.display.model_dump(),
+        "sensors": {case.sensor: _case_data(case) for case in group.cases},
         "cases": [{"at": case.at} for case in job.combinations],
         "sensor_types": 0 if types is None else len(types.quantiles),
         "estimate": asdict(cost),
@@ -144,8 +144,8 @@ def comparison_outline_document(job: ComparisonJob, out: Path) -> Document:
     facts += [f"case {case.words}" for case in job.combinations if case.words]
     facts += [] if types is None else [f"{len(types.quantiles)} sensor types, over {', '.join(types.inputs)}"]
     facts += [f"{out}: nothing is written now", f"cost: {cost}"]
-    sensors = DocumentTable("sensors", (), [(case.sensor, sensor_words(case)) for case in shown.cases], words=None)
-    return Document("compare", "dry run", shown.scene, data, lead=(sensors, *map(Fact, facts)))
+    sensors = DocumentTable("sensors", (), [(case.sensor, sensor_words(case)) for case in group.cases], words=None)
+    return Document("compare", "dry run", group.scene, data, lead=(sensors, *map(Fact, facts)))
 
 
 # --- files ------------------------------------------------------------------------------------------------------------------------
@@ -343,17 +343,17 @@ def _differences_data(result: Comparison, condition: str | None = None) -> dict[
     pairs = {other: result.pairs(other, condition=condition) for other in result.names[1:]}
     return {
         "scores": {name: list(mean_interval(result.frames(name, condition=condition))) for name in result.names},
-        "difference": {other: of_pair.difference for other, of_pair in pairs.items()},
-        "interval_delta_e": {other: list(of_pair.interval) for other, of_pair in pairs.items()},
-        "probability_a_better": {other: of_pair.probability_a_better for other, of_pair in pairs.items()},
+        "difference": {other: pair.difference for other, pair in pairs.items()},
+        "interval_delta_e": {other: list(pair.interval) for other, pair in pairs.items()},
+        "probability_a_better": {other: pair.probability_a_better for other, pair in pairs.items()},
         "film_delta_e": {other: result.film_of_pair(other, condition=condition) for other in pairs},
     }
 
 
 def data(result: Comparison) -> dict[str, Any]:
     """Return compare.json. With conditions the answers are those of the weighted mean, and the rest is `shown`."""
-    job, shown = result.job, result.shown
-    stated: dict[str, Any] = {"names": list(result.names), "match": job.match, "repeats": job.repeats, "scene": shown.scene}
+    job, group = result.job, result.shown
+    stated: dict[str, Any] = {"names": list(result.names), "match": job.match, "repeats": job.repeats, "scene": group.scene}
     if job.study is not None:
         stated["study"] = {"name": job.study.name}
     shared: dict[str, Any] = {
@@ -366,7 +366,7 @@ def data(result: Comparison) -> dict[str, Any]:
         stated["verdicts"] = {other: over_cases(result, other) for other in result.names[1:]}
         return result_data(stated, **shared)
     conditions = [group for group in result.groups() if group.first.condition]
-    more: dict[str, Any] = {"shown_condition": shown.first.condition} if conditions else {}
+    more: dict[str, Any] = {"shown_condition": group.first.condition} if conditions else {}
     if conditions:
         more["conditions"] = {group.first.condition: _condition_data(result, group) for group in conditions}
     if len(result.names) > 2:
@@ -374,17 +374,17 @@ def data(result: Comparison) -> dict[str, Any]:
     if result.further_metrics:
         more["metrics"] = {metric.name: _metric_data(result, metric) for metric in result.further_metrics}
     if result.uncertainty:
-        more["uncertainty"] = {each.names[1]: each.as_dict() for each in result.uncertainty if each.metric.is_delta_e}
-        for each in result.uncertainty:
-            if not each.metric.is_delta_e:
-                more["uncertainty"][each.names[1]].setdefault("metrics", {})[each.metric.name] = each.as_dict()
+        more["uncertainty"] = {drawn.names[1]: drawn.as_dict() for drawn in result.uncertainty if drawn.metric.is_delta_e}
+        for drawn in result.uncertainty:
+            if not drawn.metric.is_delta_e:
+                more["uncertainty"][drawn.names[1]].setdefault("metrics", {})[drawn.metric.name] = drawn.as_dict()
     content = stated | {
         **more,
         **numbers(result),
-        **shown.as_dict(),
+        **group.as_dict(),
         "scored_dots": list(result.sensors[0].score.delta_e.shape),
-        "display": shown.display.model_dump(),
-        "seed": shown.first.settings.seed,
+        "display": group.display.model_dump(),
+        "seed": group.first.settings.seed,
         "sensors": {
             sensor.name: _sensor_data(sensor) | {"delta_e": result.delta_e[sensor.name].tolist()} for sensor in result.sensors
         },
@@ -566,10 +566,8 @@ def _settings(result: Comparison) -> list[Block]:
         rows = [(".".join(path), setting_value(value, path[-1]), "", "set") for path, value in stated.items()]
         shared.append(settings_table(f"condition {condition.name}", rows))
 
-    rows = [
-        (name, *(of_sensor.get(sensor, "") for sensor in result.names)) for name, of_sensor in values.items() if name in changed
-    ]
-    differing = DocumentTable("settings of the sensors", ("setting", *result.names), rows, words=None)
+    sensor_rows = [(name, *(texts.get(sensor, "") for sensor in result.names)) for name, texts in values.items() if name in changed]
+    differing = DocumentTable("settings of the sensors", ("setting", *result.names), sensor_rows, words=None)
     return [differing, *settings_blocks(shared)]
 
 

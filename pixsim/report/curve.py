@@ -54,8 +54,8 @@ def _optimum_parts(curve: Curve) -> list[Text]:
     end = "" if best.inside else ", the end of the range"
     if curve.no_difference_um is not None:
         low, high = curve.no_difference_um
-        alike = f"no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE) between sizes from {low:.3g} to {high:.3g} µm"
-        return [(Strong(alike),), f"least at {size}{end} {limits}, {value}"]
+        no_difference = f"no visible difference (< {NO_VISIBLE_DELTA_E:g} ΔE) between sizes from {low:.3g} to {high:.3g} µm"
+        return [(Strong(no_difference),), f"least at {size}{end} {limits}, {value}"]
 
     if end:
         tried = f"no optimum between {pixel_size(curve.pitch_um[0])} and {pixel_size(curve.pitch_um[-1])}"
@@ -165,9 +165,9 @@ def fitted_at(curve: Curve, pitch_um: Array) -> Array:
 def fresnel_column(curves: Sequence[Curve], pitch_um: Sequence[float]) -> dict[str, Column]:
     """Return the column of Fresnel numbers of curves at a pitch each, empty without microlenses; none if no curve has some."""
     numbers = [curve.fresnel_at(size) for curve, size in zip(curves, pitch_um, strict=True)]
-    return (
-        {"fresnel_number": ["" if each is None else each for each in numbers]} if any(each is not None for each in numbers) else {}
-    )
+    if all(number is None for number in numbers):
+        return {}
+    return {"fresnel_number": ["" if number is None else number for number in numbers]}
 
 
 def curve_table(curves: Sequence[Curve]) -> dict[str, Column]:

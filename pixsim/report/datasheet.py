@@ -154,8 +154,8 @@ def histogram_plate(sheet: DataSheet) -> Drawing:
     table: dict[str, Array] = {}
     panels = []
     for name, deviation in deviations(sheet).items():
-        reach = 1.02 * max(float(np.abs(deviation).max()), 1e-9)
-        counts, edges = np.histogram(deviation, np.linspace(-reach, reach, BINS + 1))
+        limit = 1.02 * max(float(np.abs(deviation).max()), 1e-9)
+        counts, edges = np.histogram(deviation, np.linspace(-limit, limit, BINS + 1))
         centres, sigma = (edges[1:] + edges[:-1]) / 2, max(float(deviation.std()), 1e-12)
         normal = deviation.size * np.diff(edges) / (sigma * np.sqrt(2 * np.pi)) * np.exp(-((centres / sigma) ** 2) / 2)
         table |= {f"{name}_bin": centres, f"{name}_pixels": counts, f"{name}_normal": normal}

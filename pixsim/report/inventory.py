@@ -74,4 +74,4 @@ def cameras_document(cameras: Sequence[CameraEntry], sources: Mapping[str, str])
     use = 'use: pixel.colour.sensitivities = "NAME" with pixel.colour.peak_quantum_efficiency; pixsim cameras --json has the notes'
     kinds = (f"{kind}: {words}" for kind, words in sources.items())
     blocks: list[Block] = [DocumentTable("cameras", (), rows, words=None), *kinds, use]
-    return Document("cameras", "cameras", "Cameras", {"cameras": [asdict(each) for each in cameras]}, blocks)
+    return Document("cameras", "cameras", "Cameras", {"cameras": [asdict(camera) for camera in cameras]}, blocks)

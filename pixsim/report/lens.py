@@ -51,8 +51,8 @@ def layout(data: LensData) -> Drawing:
     at, radius = cut.stop
     axes.vlines([at, at], [radius, -1.35 * radius], [1.35 * radius, -radius], color="black", lw=2.5, label="stop")
     rays = []
-    for (angle, of_field), look in zip(cut.rays.items(), LOOKS, strict=False):
-        for number_of_ray, (height, z, y) in enumerate(of_field):
+    for (angle, field_rays), look in zip(cut.rays.items(), LOOKS, strict=False):
+        for number_of_ray, (height, z, y) in enumerate(field_rays):
             axes.plot(z, y, lw=0.8, label=None if number_of_ray else f"{angle:.3g}°", **look.stroke)
             rays.append((angle, height, z, y))
     table |= rows_table(("field_deg", "stop_y", "z_mm", "y_mm"), rays)
@@ -98,8 +98,8 @@ def spot_plate(data: LensData) -> Drawing:
         axes.grid(alpha=0.25)
 
     table = rows_table(("field_deg", "wavelength_nm", "x_um", "y_um"), rays)
-    reach = 1.1 * float(np.fmax.reduce(np.abs([*table["x_um"], *table["y_um"]]), initial=data.airy_um))
-    panels[0].set(xlim=(-reach, reach), ylim=(-reach, reach))
+    limit_um = 1.1 * float(np.fmax.reduce(np.abs([*table["x_um"], *table["y_um"]]), initial=data.airy_um))
+    panels[0].set(xlim=(-limit_um, limit_um), ylim=(-limit_um, limit_um))
     legend_below(figure, panels[0], 6)
     return figure, table
 
@@ -110,12 +110,12 @@ def psf_plate(data: LensData) -> Drawing:
     figure, panels = field_panels(data, 2.7)
     largest_um = max(data.spots[index].rms_um for index in panels if not data.dark[index])
     half_um = max(SHOWN_HALF_WIDTHS * largest_um, 4e-3 * data.lens.primary_nm * data.lens.working_f_number)
-    reach = min(math.ceil(half_um / data.psf_pitch_um), *(len(data.psfs[index]) // 2 - 1 for index in panels))
-    side = (2 * reach + 1) * data.psf_pitch_um / 2
+    cells = min(math.ceil(half_um / data.psf_pitch_um), *(len(data.psfs[index]) // 2 - 1 for index in panels))
+    side = (2 * cells + 1) * data.psf_pitch_um / 2
     table: dict[str, Column] = {}
     for index, axes in panels.items():
         middle = len(data.psfs[index]) // 2
-        inside = slice(middle - reach, middle + reach + 1)
+        inside = slice(middle - cells, middle + cells + 1)
         psf = np.maximum(data.psfs[index][inside, inside], 0.0)
         psf = psf / max(float(psf.max()), np.finfo(float).tiny)
         axes.imshow(np.sqrt(psf), cmap="viridis", vmin=0, vmax=1, origin="lower", extent=(-side, side, -side, side))

@@ -50,9 +50,9 @@ DODGE_PT = 3.0  # between lines, whose bars would hide each other
 PIXEL_SIZE = "optimal pixel size (µm)"
 
 
-def short(text: str, most: int = SHORT) -> str:
+def short(text: str, max_characters: int = SHORT) -> str:
     """Return text that fits in a figure, as Matplotlib draws it literally."""
-    return literal(text if len(text) <= most else text[: most - 1] + "…")
+    return literal(text if len(text) <= max_characters else text[: max_characters - 1] + "…")
 
 
 # --- the values of an axis -----------------------------------------------------------------------------------------------
@@ -380,16 +380,16 @@ def map_along(grid: Grid, scale: Scale) -> Drawing:
             if is_marked.any():  # the layout gives a line without points, which is not clipped, room in the corner of the figure
                 axes.plot(x[is_marked], optima_um[is_marked], "o", ms=4.5, mfc=face, mec=edge, clip_on=False, zorder=5)
 
-    of_rows = [curve for curve in curves for _ in sizes_um]
+    row_curves = [curve for curve in curves for _ in sizes_um]
     pitch_um = sizes_um.tolist() * len(curves)
-    return figure, grid.columns(of_rows) | {
+    return figure, grid.columns(row_curves) | {
         "pitch_um": pitch_um,
         metric.columns[0]: np.concatenate([fitted_at(curve, sizes_um) for curve in curves]).tolist(),
-        "optimum_um": [curve.optimum.pitch_um for curve in of_rows],
-        "inside": [str(curve.optimum.inside) for curve in of_rows],
-        **range_columns("within_1_percent", of_rows),
+        "optimum_um": [curve.optimum.pitch_um for curve in row_curves],
+        "inside": [str(curve.optimum.inside) for curve in row_curves],
+        **range_columns("within_1_percent", row_curves),
         "cutoff_pitch_um": np.repeat([cutoff_pitch_um(grid.result.part_of(curve).camera) for curve in curves], MAP_SIZES).tolist(),
-        **fresnel_column(of_rows, pitch_um),
+        **fresnel_column(row_curves, pitch_um),
     }
 
 
@@ -457,9 +457,9 @@ def draw_maps(
     if is_wide:
         plain_powers(bar.ax.yaxis)
 
-    least, most = (float(np.nanmin(contours)), float(np.nanmax(contours))) if contours else (0.0, 0.0)
-    if contours and least < most and min(contours[0].shape) > 1:
-        levels = np.geomspace(least, most, CONTOURS + 2) if least > 0 else np.linspace(least, most, CONTOURS + 2)
+    least, highest = (float(np.nanmin(contours)), float(np.nanmax(contours))) if contours else (0.0, 0.0)
+    if contours and least < highest and min(contours[0].shape) > 1:
+        levels = np.geomspace(least, highest, CONTOURS + 2) if least > 0 else np.linspace(least, highest, CONTOURS + 2)
         for axes, heights in zip(axes_of_panels, contours, strict=True):
             lines = axes.contour(across.places, up.places, heights, levels[1:-1], colors="white", linewidths=0.6, alpha=0.7)
             axes.clabel(lines, fmt="%.2g", fontsize=CELL_PT)
@@ -548,16 +548,16 @@ def alone_groups(result: CasesResult, names: Sequence[str]) -> list[Group]:
     bases = bases_of(result)
     technologies = [curve.technology for curve in next(iter(bases.values())).curves]
     labels = labels_of(technologies)
-    of_process = {axis.name for axis in result.study.axis if all(set(point.table) == {"process"} for point in axis.points)}
+    process_axes = {axis.name for axis in result.study.axis if all(set(point.table) == {"process"} for point in axis.points)}
     groups = []
-    most = max(1, min(MAX_ROWS, MAX_BARS // len(names)))
-    for place, condition in list(product(range(len(labels)), bases))[:most]:
+    max_groups = max(1, min(MAX_ROWS, MAX_BARS // len(names)))
+    for place, condition in list(product(range(len(labels)), bases))[:max_groups]:
         words = [labels[place]] if len(labels) > 1 else []
         words += [condition] if len(bases) > 1 else []
         moved = {}
         for name in names:
             parts = [part for part in result.parts if (part.curves[0].condition, part.curves[0].alone) == (condition, name)]
-            parts = touching(parts, bases[condition], technologies[place]) if name in of_process else parts
+            parts = touching(parts, bases[condition], technologies[place]) if name in process_axes else parts
             moved[name] = [part.curves[min(place, len(part.curves) - 1)] for part in parts]  # one of an axis over technologies
         groups.append(Group(", ".join(words), bases[condition].curves[place], moved))
     return groups

@@ -60,14 +60,14 @@ def budget_table(budgets: Mapping[str, NoiseBudget]) -> DocumentTable:
         rows.append((words, *("" if cell == "nan" else cell for pair in cells for cell in pair)))
 
     for kind in dict.fromkeys(kinds.values()):
-        of_kind = [cause for cause in kinds if kinds[cause] == kind]
-        for cause in of_kind:
-            add(cause, *(of_budget.get(cause, nothing) for of_budget in numbers))
-        if len(of_kind) > 1:
+        kind_causes = [cause for cause in kinds if kinds[cause] == kind]
+        for cause in kind_causes:
+            add(cause, *(budget_values.get(cause, nothing) for budget_values in numbers))
+        if len(kind_causes) > 1:
             add(f"{kind}, together", *((nothing[0], budget.parts[kind]) for budget in budgets.values()))
     for cause in (ALL, MEASURED, RENDER):
-        if any(of_budget[cause][0] for of_budget in numbers):
-            add(cause, *(of_budget[cause] for of_budget in numbers))
+        if any(budget_values[cause][0] for budget_values in numbers):
+            add(cause, *(budget_values[cause] for budget_values in numbers))
     heads = (f"{label}\n{unit}" if several else unit for label in budgets for unit in ("noise (e-)", "mean ΔE"))
     return DocumentTable("noise budget", ("cause\n" if several else "cause", *heads), rows)
 
@@ -79,13 +79,13 @@ def budget_table(budgets: Mapping[str, NoiseBudget]) -> DocumentTable:
 )
 def budget_plate(budgets: Mapping[str, NoiseBudget]) -> Drawing:
     """Draw what each cause takes off the mean ΔE, and the electrons of each cause of noise, as bars."""
-    shown = dict(list(budgets.items())[:SHOWN])
-    causes = list(dict.fromkeys(cause for budget in shown.values() for cause in budget.delta_e))
-    figure = new_figure(8.6, MARGIN_IN + BAR_IN * len(causes) + LEGEND_IN * (len(shown) > 1))
+    drawn = dict(list(budgets.items())[:SHOWN])
+    causes = list(dict.fromkeys(cause for budget in drawn.values() for cause in budget.delta_e))
+    figure = new_figure(8.6, MARGIN_IN + BAR_IN * len(causes) + LEGEND_IN * (len(drawn) > 1))
     panels = figure.subplots(1, 2, sharey=True)
-    height = 0.8 / len(shown)
-    for number, (label, budget) in enumerate(shown.items()):
-        at = np.arange(len(causes)) + (number - (len(shown) - 1) / 2) * height
+    height = 0.8 / len(drawn)
+    for number, (label, budget) in enumerate(drawn.items()):
+        at = np.arange(len(causes)) + (number - (len(drawn) - 1) / 2) * height
         for axes, values in zip(panels, (budget.electrons_e, budget.delta_e), strict=True):
             axes.barh(
                 at, [values.get(cause, 0.0) for cause in causes], height, color=COLOURS[number % len(COLOURS)], label=literal(label)
@@ -94,7 +94,7 @@ def budget_plate(budgets: Mapping[str, NoiseBudget]) -> Drawing:
     panels[0].invert_yaxis()
     finish(panels[0], "noise (e- rms)", "", None)
     finish(panels[1], "part of the mean ΔE", "", None)
-    if len(shown) > 1:
+    if len(drawn) > 1:
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=8)
     return figure, budget_columns(budgets)

@@ -36,10 +36,10 @@ def study_outline(job: Job[Study], jobs: int | None = None, types: int = 0) -> d
     return common(job, job.settings.scene.file, job.settings.camera) | planned_study(job, jobs, types)
 
 
-def common(job: Job[Run] | Job[Study], source: str, given: CameraOptions) -> dict[str, Any]:
+def common(job: Job[Run] | Job[Study], source: str, options: CameraOptions) -> dict[str, Any]:
     """Return the entries that runs and studies share.
 
-    given : options of the camera, as the user gave them
+    options : of the camera, as the user gave them
     """
     settings, camera = job.settings, job.camera
     limits = settings.model_dump(include=set(Effort.model_fields), exclude_none=True)
@@ -52,7 +52,7 @@ def common(job: Job[Run] | Job[Study], source: str, given: CameraOptions) -> dic
         "chosen": {**job.view},
         "limits": limits,
         "seed": settings.seed,
-        "assumption": given.assumption(camera),
+        "assumption": options.assumption(camera),
     } | ({"window_mm": settings.window_mm} if settings.window_mm else {})
 
 

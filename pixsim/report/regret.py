@@ -91,14 +91,14 @@ def regrets_tables(regrets: Regrets) -> tuple[DocumentTable, DocumentTable]:
     matrix_head = ("regret in % at the best size of", *(str(number) for number, _ in enumerate(regrets.criteria, 1)))
 
     rows, matrix_rows = [], []
-    for place, (criterion, of_criterion) in enumerate(zip(regrets.criteria, regrets.matrix.tolist(), strict=True)):
+    for place, (criterion, criterion_regrets) in enumerate(zip(regrets.criteria, regrets.matrix.tolist(), strict=True)):
         name = f"{place + 1} {criterion.name}"
         best = criterion.optimum
         low, high = best.value_interval
         unit = "ΔE" if criterion.metric.is_delta_e else criterion.metric.unit
         value = f"{within_error(best.value, (high - low) / 2)} {unit}".rstrip()
         rows.append((name, best_size_words(criterion), interval(best.interval_um), value))
-        cells = ("–" if column == place else regret_percent(regret) for column, regret in enumerate(of_criterion))
+        cells = ("–" if column == place else regret_percent(regret) for column, regret in enumerate(criterion_regrets))
         matrix_rows.append((name, *cells))
 
     sizes = DocumentTable(f"best sizes of {regrets.label}", head, rows, f"{regrets.label}: best sizes", words=(0, 1, 2))

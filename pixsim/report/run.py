@@ -103,14 +103,14 @@ def colour_rows(facts: Mapping[str, Any] | None, out_of_gamut: tuple[float, floa
     """
     if facts is None or out_of_gamut is None:
         return []
-    of_ideal, of_sensor = out_of_gamut
+    ideal_share, sensor_share = out_of_gamut
     return [
         ("light of white, for white balance, matrix and ideal image", str(facts["white_spectrum"])),
         ("noise gains of the matrix in red, green, blue", ", ".join(rounded(gain, 4) for gain in facts["noise_gains"])),
         ("sensitivity metamerism index under this lamp (100: no colour error)", rounded(facts["sensitivity_metamerism_index"], 4)),
         ("mean ΔE of patches 1-18 of a ColorChecker behind the matrix, without noise", rounded(facts["patches_mean_delta_e"], 4)),
-        ("dots outside the display's gamut: the ideal image", percent(of_ideal, 2)),
-        ("dots outside the display's gamut: the sensor's picture", percent(of_sensor, 2)),
+        ("dots outside the display's gamut: the ideal image", percent(ideal_share, 2)),
+        ("dots outside the display's gamut: the sensor's picture", percent(sensor_share, 2)),
     ]
 
 
@@ -314,8 +314,8 @@ def dark_notes(result: RunResult) -> list[Note]:
 
 def assumption(result: RunResult) -> str:
     """Return what was assumed of the technology and the lens, which nobody stated; empty for nothing."""
-    of_lens = "" if result.prepared.cases[0].picture else result.prepared.asked.camera.assumption(result.camera)
-    return "; ".join(filter(None, (result.settings.pixel.assumption, of_lens)))
+    lens_assumption = "" if result.prepared.cases[0].picture else result.prepared.asked.camera.assumption(result.camera)
+    return "; ".join(filter(None, (result.settings.pixel.assumption, lens_assumption)))
 
 
 # --- words ------------------------------------------------------------------------------------------------------------------------
@@ -507,10 +507,10 @@ def run_settings_text(prepared: Job[Run], irradiance: SpectralImage) -> str:
     """Return the text of settings.toml, from which `pixsim run` makes the same numbers again."""
     imaging = prepared.cases[0].imaging
     assert imaging is not None
-    given = {"sensor": prepared.sensor, "variant": prepared.variant, "units": prepared.units}
-    given |= {name: str(value) for name, value in (("repeats", prepared.repeats), ("frames", prepared.frames)) if value > 1}
+    options = {"sensor": prepared.sensor, "variant": prepared.variant, "units": prepared.units}
+    options |= {name: str(value) for name, value in (("repeats", prepared.repeats), ("frames", prepared.frames)) if value > 1}
     command = ["pixsim", "run", whole_source(prepared), "--config", SETTINGS_FILE, *["--full"] * imaging.full]
-    command += [word for name, value in given.items() if value for word in (f"--{name}", value)]
+    command += [word for name, value in options.items() if value for word in (f"--{name}", value)]
     return settings_text(repeating_settings(prepared, irradiance), shlex.join(command))
 
 
@@ -522,8 +522,8 @@ def repeating_settings(job: Job[Run], irradiance: SpectralImage) -> Run:
     if job.cases[0].picture:
         return job.complete
     # Display and chart, too, may have been chosen; defaults in their place would count as given.
-    of_view = {"display": job.complete.display, "scene": scene_table(job.cases[0].scene.path.parent, job.complete.scene)}
-    return without_clock(job.asked, irradiance).model_copy(update=of_view)
+    view = {"display": job.complete.display, "scene": scene_table(job.cases[0].scene.path.parent, job.complete.scene)}
+    return without_clock(job.asked, irradiance).model_copy(update=view)
 
 
 def whole_source(job: Job[Run]) -> str:

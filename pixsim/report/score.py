@@ -94,10 +94,10 @@ def unmet(error: LightError, limit: LightError) -> list[str]:
     """Return the errors above their limits in words, the largest first."""
     texts = []
     for name in exceeded(error, limit):
-        size, most = told_apart(getattr(error, name), getattr(limit, name), 1)
+        size, limit_text = told_apart(getattr(error, name), getattr(limit, name), 1)
         size = "unknown" if math.isnan(getattr(error, name)) else f"up to {size} ΔE"
-        most = "its limit exceeded" if math.isnan(getattr(limit, name)) else f"{most} tolerated"
-        texts.append(f"{ERROR_WORDS[name]} is {size}, {most}")
+        limit_text = "its limit exceeded" if math.isnan(getattr(limit, name)) else f"{limit_text} tolerated"
+        texts.append(f"{ERROR_WORDS[name]} is {size}, {limit_text}")
     return texts
 
 

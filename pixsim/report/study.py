@@ -153,14 +153,15 @@ def light_against_detail(result: StudyResult, curve: Curve) -> Drawing:
     axes.legend(handles=[*detail, *light], frameon=False, loc="upper right", handlelength=LEGEND_LINE)
 
     frequency, _ = detail_frequency_lp_per_mm(result.irradiance, curve.optimum.pitch_um)
-    of_pixels = [
+    pixel_terms = [
         study_mtf_terms(result, physics, np.array(frequency), path) for physics, path in zip(pixels, paths_um, strict=True)
     ]
-    terms = {term: np.array([float(values[term]) for values in of_pixels]) for term in of_pixels[0]}
-    shown = draw_terms(lower, curve.pitch_um, terms, result.study.display.interpolation)
+    terms = {term: np.array([float(values[term]) for values in pixel_terms]) for term in pixel_terms[0]}
+    shown_product = draw_terms(lower, curve.pitch_um, terms, result.study.display.interpolation)
     exposures = {"mtf50_lp_per_mm": mtf50, "shown_mtf50_lp_per_mm": shown50, "mpe30_lx_s": mpe30}
     contrasts = {
-        f"{term.replace(' ', '_')}_mtf_at_{frequency:.3g}_lp_per_mm": mtf for term, mtf in (terms | {"shown": shown}).items()
+        f"{term.replace(' ', '_')}_mtf_at_{frequency:.3g}_lp_per_mm": mtf
+        for term, mtf in (terms | {"shown": shown_product}).items()
     }
     lower.set(xlabel="pixel size (µm)", ylabel=f"MTF at {frequency:.3g} lp/mm", ylim=(0, 1.02))
     lower.grid(alpha=0.25)
@@ -307,7 +308,7 @@ def document_of(
     warned : notes that a reader of the terminal has seen
     """
     first = result.curves[0].metric.name
-    weighted = [weighted_answer(of_metric) for of_metric in regrets if of_metric.criteria[0].metric.name == first]
+    weighted = [weighted_answer(judged) for judged in regrets if judged.criteria[0].metric.name == first]
     answers = [*weighted, *(optimum_answer(curve) for curve in result.curves if not curve.alone)]
     left = len(answers) - ANSWERS_SHOWN
     more = [Fact(f"and {left} more: optima.csv")] if left > 0 else []

@@ -73,20 +73,24 @@ UNCERTAINTY_EXAMPLE = """
 def template(kind: str) -> str:
     """TOML file with every field of the settings of a sensor or a study. Raises PixsimError for another kind."""
     schema = record_of(kind).model_json_schema()
-    head, shown = (SENSOR_HEAD, SENSOR_SHOWN) if kind == "sensor" else (STUDY_HEAD, STUDY_SHOWN)
+    head, uncommented = (SENSOR_HEAD, SENSOR_SHOWN) if kind == "sensor" else (STUDY_HEAD, STUDY_SHOWN)
     lines = [f"# {line}" for line in head.strip().splitlines()]
     tables = {name: field for name, field in schema["properties"].items() if "$ref" in field}
     order = ["pixel", *(name for name in tables if name != "pixel")] if kind == "sensor" else list(tables)
     top = {name: field for name, field in schema["properties"].items() if name not in tables}
-    lines += ["", *_fields(top, shown, "")]
+    lines += ["", *_fields(top, uncommented, "")]
     for name in order:
         properties = schema["$defs"][tables[name]["$ref"].rpartition("/")[2]]["properties"]
-        first = [key for dotted in shown if (key := dotted.removeprefix(f"{name}.")) in properties and key != dotted]
-        inner = {key: schema["$defs"][each["$ref"].rpartition("/")[2]] for key, each in properties.items() if "$ref" in each}
-        own = {key: properties[key] for key in [*first, *properties] if key not in inner}
-        lines += ["", f"[{name}]", *_fields(own, shown, f"{name}.")] if own else []
+        first = [key for dotted in uncommented if (key := dotted.removeprefix(f"{name}.")) in properties and key != dotted]
+        inner = {
+            key: schema["$defs"][reference["$ref"].rpartition("/")[2]]
+            for key, reference in properties.items()
+            if "$ref" in reference
+        }
+        fields = {key: properties[key] for key in [*first, *properties] if key not in inner}
+        lines += ["", f"[{name}]", *_fields(fields, uncommented, f"{name}.")] if fields else []
         for key, record in inner.items():
-            lines += ["", f"[{name}.{key}]", *_fields(record["properties"], shown, f"{name}.{key}.")]
+            lines += ["", f"[{name}.{key}]", *_fields(record["properties"], uncommented, f"{name}.{key}.")]
         if (kind, name) == ("sensor", "pixel"):
             lines += [f"## {UNCERTAINTY}:{UNCERTAINTY_EXAMPLE}"]
     return "\n".join(lines) + "\n"
@@ -116,11 +120,11 @@ def template_document(kind: str, of: str | None, output: Path | None) -> Documen
 
 def packaged_study(name: str) -> str:
     """TOML file of a packaged study, to be edited. Raises PixsimError for another name."""
-    known = packaged("data/studies")
-    if name not in known:
-        raise invalid("--of", f"'{name}'", ", ".join(known), did_you_mean(name, known))
+    studies = packaged("data/studies")
+    if name not in studies:
+        raise invalid("--of", f"'{name}'", ", ".join(studies), did_you_mean(name, studies))
     head = f"# A copy of the packaged study {name}. Change its name with its values: the random streams depend on the name."
-    return f"{head}\n{known[name].read_text(encoding='utf-8')}"
+    return f"{head}\n{studies[name].read_text(encoding='utf-8')}"
 
 
 def json_schema(kind: str) -> dict[str, Any]:
@@ -144,10 +148,10 @@ def record_of(kind: str) -> type[Record]:
     return KINDS[kind]
 
 
-def _fields(properties: dict[str, Any], shown: tuple[str, ...], table: str) -> Iterator[str]:
+def _fields(properties: dict[str, Any], uncommented: tuple[str, ...], table: str) -> Iterator[str]:
     """A comment with description, unit, range and default, then the field itself, for each field."""
     for name, field in properties.items():
-        is_set = table + name in shown
+        is_set = table + name in uncommented
         value = field.get("default", {} if field.get("type") == "object" else ...)
         optional = value in (None, "", {})
         default = "required" if value is ... else "optional" if optional else f"default {toml_value(value)}"

@@ -171,13 +171,13 @@ def notes(result: Comparison) -> list[Note]:
 
     Notes that not all cases have name theirs.
     """
-    of_groups = {
+    group_notes = {
         group.words: [note for sensor in result.of_group(group).values() for note in _sensor_notes(sensor)]
         for group in result.all_groups
     }
-    first, *others = of_groups.values()
-    shared = [note for note in first if all(note in of_group for of_group in others)]
-    further = [note.of([words]) for words, of_group in of_groups.items() for note in of_group if note not in shared]
+    first, *others = group_notes.values()
+    shared = [note for note in first if all(note in noted for noted in others)]
+    further = [note.of([words]) for words, noted in group_notes.items() for note in noted if note not in shared]
     return list(dict.fromkeys([*result.warned, *shared, *further]))
 
 
@@ -208,12 +208,12 @@ def shared_stages(group: SensorGroup) -> list[str]:
 
 def common_words(job: ComparisonJob) -> list[str]:
     """Return what all sensors of a comparison have in common; what conditions change is that of the shown one."""
-    shown = job.shown
-    first, camera, display = shown.first.sensor, shown.first.camera, shown.display
+    group = job.shown
+    first, camera, display = group.first.sensor, group.first.camera, group.display
     words = []
     if job.study is not None:
         words.append(f"the study {job.study.name}")
-    if shown.first.condition:
+    if group.first.condition:
         weights = ", ".join(f"{group.first.condition} ({group.weight:.3g})" for group in job.of_sensors())
         words.append(f"means over its conditions, with the weights {weights}")
     lens = {
@@ -221,14 +221,14 @@ def common_words(job: ComparisonJob) -> list[str]:
         "lens": f"the lens of {first} ({camera.lens_words})",
         "own": "each file's own lens",
     }[job.match]
-    where = f"in {shown.first.condition}: " if shown.first.condition else ""
+    where = f"in {group.first.condition}: " if group.first.condition else ""
     words.append(f"{where}the same field of {camera.field_words}; {lens}")
-    rows, columns = shown.scored_dots
+    rows, columns = group.scored_dots
     dots = f"{display.dots} dots across, {display.samples_per_deg:g} per degree"
     words.append(f"one display of {dots}; {columns} × {rows} are scored")
-    if shown.first.others and judged_by_delta_e(job.base[0]):
-        words.append(f"checked on {' and '.join(str(other.dots) for other in shown.first.others)} dots")
-    words += shared_stages(shown)
-    words += filter(None, [developed_words(shown.first.settings.develop, [case.settings.pixel for case in shown.cases])])
+    if group.first.others and judged_by_delta_e(job.base[0]):
+        words.append(f"checked on {' and '.join(str(other.dots) for other in group.first.others)} dots")
+    words += shared_stages(group)
+    words += filter(None, [developed_words(group.first.settings.develop, [case.settings.pixel for case in group.cases])])
     film = " and the film's error" if judged_by_delta_e(job.base[0]) else ""
     return [*words, f"{job.repeats} pairs of frames with the same seeds", f"± is the 95 % interval{film}"]

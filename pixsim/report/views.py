@@ -48,8 +48,8 @@ def best_place(curve: Curve) -> int:
 
 def map_end(result: StudyResult) -> float:
     """Return the end of the colour scale of a study's ΔE maps, from those of its smallest, best and largest pixels."""
-    shown = [curve.mean("p99_delta_e")[[0, best_place(curve), -1]].max() for curve in result.curves]
-    return scale_end(float(max(shown)))
+    largest_p99 = [curve.mean("p99_delta_e")[[0, best_place(curve), -1]].max() for curve in result.curves]
+    return scale_end(float(max(largest_p99)))
 
 
 def study_views(result: StudyResult, curve: Curve) -> Views:

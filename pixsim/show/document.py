@@ -42,10 +42,10 @@ class DocumentRecord:
     """A record that keeps what it is given in lists and iterators as tuples, and a text alone as the only one."""
 
     def __post_init__(self) -> None:
-        for each in fields(self):
-            given = getattr(self, each.name)
-            if each.type.startswith("Iterable"):
-                object.__setattr__(self, each.name, (given,) if isinstance(given, str) else tuple(given))
+        for attribute in fields(self):
+            value = getattr(self, attribute.name)
+            if attribute.type.startswith("Iterable"):
+                object.__setattr__(self, attribute.name, (value,) if isinstance(value, str) else tuple(value))
 
 
 @dataclass(frozen=True)

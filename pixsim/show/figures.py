@@ -184,8 +184,8 @@ def literal(text: str) -> str:
 
     A character that the font does not have is drawn as one that is missing, without a warning for each figure.
     """
-    known = font_characters()
-    printable = "".join(character if character.isprintable() and ord(character) in known else "\ufffd" for character in text)
+    characters = font_characters()
+    printable = "".join(character if character.isprintable() and ord(character) in characters else "\ufffd" for character in text)
     return printable.replace("$", r"\$")
 
 

@@ -75,7 +75,7 @@ def lines(block: Block, width: int = WIDTH, before: str = BELOW) -> Iterator[str
         case DocumentTable():
             yield from _table_lines(block, width, before)
         case Section():
-            yield from ("", *(line for each in block.blocks for line in lines(each, width)))
+            yield from ("", *(line for inner in block.blocks for line in lines(inner, width)))
         case str() | tuple():
             yield plain_text(block)
 
