@@ -105,6 +105,7 @@ def colour_rows(facts: Mapping[str, Any] | None, out_of_gamut: tuple[float, floa
         return []
     ideal_share, sensor_share = out_of_gamut
     return [
+        ("channels of a frame: rows of the unit cell, or planes", str(facts["layout"])),
         ("light of white, for white balance, matrix and ideal image", str(facts["white_spectrum"])),
         ("noise gains of the matrix in red, green, blue", ", ".join(rounded(gain, 4) for gain in facts["noise_gains"])),
         ("sensitivity metamerism index under this lamp (100: no colour error)", rounded(facts["sensitivity_metamerism_index"], 4)),

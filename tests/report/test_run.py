@@ -398,6 +398,7 @@ def test_large_picture_is_reduced_to_means_of_whole_blocks(shape: tuple[int, int
 def test_colour_rows_are_those_of_score_json() -> None:
     """Noise gains, SMI, error of the patches and shares out of gamut; none for a monochrome sensor."""
     facts = {
+        "layout": "RG/CB",
         "white_spectrum": "D65",
         "noise_gains": [1.58, 1.27, 1.13],
         "patches_mean_delta_e": 1.64,
@@ -405,5 +406,5 @@ def test_colour_rows_are_those_of_score_json() -> None:
     }
     rows = dict(colour_rows(facts, (0.036, 0.05)))
     assert rows["noise gains of the matrix in red, green, blue"] == "1.58, 1.27, 1.13"
-    assert {"D65", "90.98", "1.64", "3.60 %", "5.00 %"} < set(rows.values())
+    assert {"RG/CB", "D65", "90.98", "1.64", "3.60 %", "5.00 %"} < set(rows.values())
     assert colour_rows(None, None) == []
