@@ -473,7 +473,7 @@ class GivenSettings:
 
     @classmethod
     def of_records(cls, imaging: Imaging, light: SpectralImage) -> GivenSettings:
-        """Return those of a call with records, in light that is case."""
+        """Return those of a call with records, in light that is given."""
         tables: dict[str, Record] = {table: getattr(imaging, table) for table in TABLES if table != "lens"}
         tables |= {"lens": imaging.camera.lens_options, "metric": imaging.metrics.options}
         return cls.of(imaging, tables, CommandFacts(picture=light))
