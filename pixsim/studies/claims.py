@@ -56,7 +56,6 @@ def growth_exponent(pitch_um: Array, level_db: Array) -> float:
 REFERENCE_TECHNOLOGY = "0.35um"
 FILL_FACTORS = {5.3: 0.05, 6.5: 0.30, 15.0: 0.73}
 FIGURE_2_RANGE_DB = (35.0, 70.0)
-FIGURE_2B_PITCHES_UM = (6.0, 8.0, 10.0, 12.0)
 FIGURE_6_PITCHES_UM = (5.3, 6.0, 8.0, 15.0)
 OPTIMUM_UM, OPTIMUM_FILL_FACTOR = 6.5, 0.30
 TOLERANCE_UM = 0.4  # "approximately 6.5 µm", which the paper distinguishes from 6 and 8 µm
