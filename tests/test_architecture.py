@@ -318,7 +318,8 @@ def test_version_is_consistent() -> None:
 DOORS = {
     "scene.guard.files": {"ASSETS"},
     "scene.guard.inspector": {"open_scene", "SceneText", "REASONS"},
-    "scene.guard.tracer": {"Tracer", "tracer_of"},
+    "scene.guard.child": {"ChildTracer"},
+    "scene.guard.own_tracer": {"OwnTracer"},
 }
 
 

@@ -20,7 +20,6 @@ from pixsim.base.files import judge_picture, opened, reason
 from pixsim.light.exr import read_channels, read_header
 from pixsim.scene.charts import texture_file
 from pixsim.scene.textures import inspect_radiance
-from pixsim.sensor.raw import has_pages, pages_text
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".hdr", ".exr")
 LINEAR_SUFFIXES = (".hdr", ".exr")  # these formats hold light
@@ -136,42 +135,35 @@ def _luminance(values: Array) -> Array:
 
 def _codes(path: Path) -> Array:
     """Return the values of a PNG, JPEG or TIFF, in [0, 1], upright: (H, W) or (H, W, 3)."""
+    from PIL import Image, ImageOps
+
     judge_picture(path)
-    texts: list[str] = []
     try:
-        codes = _decoded(path, texts)
+        with warnings.catch_warnings(action="ignore"), opened(path, "chart picture", ALLOWED) as file, Image.open(file) as image:
+            mode = image.mode
+            if mode in ALPHA_MODES or "transparency" in image.info:
+                low = image.convert("RGBA").getchannel("A").getextrema()[0]
+                if not isinstance(low, int | float) or low < 255:
+                    hint = "Flatten it onto a background."
+                    raise invalid(f"chart picture '{path}'", "transparent parts", "an opaque picture", hint)
+            if mode in SIXTEEN_BIT_MODES:
+                return np.asarray(ImageOps.exif_transpose(image)).astype(float) / 65535
+            if mode not in (*GREY_MODES, *ALPHA_MODES):
+                raise invalid(f"chart picture '{path}'", f"values of mode {mode}", ALLOWED)
+            if image.format == "PNG" and _png_depth(path) == 16:  # in colour, which Pillow cuts to 8 bits
+                return np.asarray(_of_mitsuba(path)) / 65535
+
+            has_16_bits = 16 in np.atleast_1d(getattr(image, "tag_v2", {}).get(258, 8))  # BitsPerSample
+            grey = mode in ("1", "L", "LA")
+            codes = np.asarray(ImageOps.exif_transpose(image).convert("L" if grey else "RGB")).astype(float) / 255
     except PixsimError:
         raise
     except Exception as error:  # a decoder may raise anything for a damaged file
         raise invalid(f"chart picture '{path}'", reason(error), "a readable picture") from None
-    for text in texts:
-        notes.warn(notes.Note("file_as_read", words=text))
+    if has_16_bits:
+        words = f"'{path.name}' is read with 8 of its 16 bits; a PNG or EXR keeps them"
+        notes.warn(notes.Note("file_as_read", words=words))
     return codes
-
-
-def _decoded(path: Path, texts: list[str]) -> Array:
-    """Return the values of `_codes`, without the warnings of Pillow; `texts` gets what is to be said of the file."""
-    from PIL import Image, ImageOps
-
-    with warnings.catch_warnings(action="ignore"), opened(path, "chart picture", ALLOWED) as file, Image.open(file) as image:
-        mode = image.mode
-        if has_pages(image):
-            texts.append(pages_text(path))
-        if mode in ALPHA_MODES or "transparency" in image.info:
-            low = image.convert("RGBA").getchannel("A").getextrema()[0]
-            if not isinstance(low, int | float) or low < 255:
-                hint = "Flatten it onto a background."
-                raise invalid(f"chart picture '{path}'", "transparent parts", "an opaque picture", hint)
-        if mode in SIXTEEN_BIT_MODES:
-            return np.asarray(ImageOps.exif_transpose(image)).astype(float) / 65535
-        if mode not in (*GREY_MODES, *ALPHA_MODES):
-            raise invalid(f"chart picture '{path}'", f"values of mode {mode}", ALLOWED)
-        if image.format == "PNG" and _png_depth(path) == 16:  # in colour, which Pillow cuts to 8 bits
-            return np.asarray(_of_mitsuba(path)) / 65535
-        if 16 in np.atleast_1d(getattr(image, "tag_v2", {}).get(258, 8)):  # BitsPerSample
-            texts.append(f"'{path.name}' is read with 8 of its 16 bits; a PNG or EXR keeps them")
-        grey = mode in ("1", "L", "LA")
-        return np.asarray(ImageOps.exif_transpose(image).convert("L" if grey else "RGB")).astype(float) / 255
 
 
 def _png_depth(path: Path) -> int:

@@ -31,7 +31,8 @@ from pixsim.optics.thin_lens import irradiance_factor
 from pixsim.scene import white_plate
 from pixsim.scene.bands import Fit, Pulse
 from pixsim.scene.contents import asset_files, warnings_of_skies
-from pixsim.scene.guard.tracer import Tracer, tracer_of
+from pixsim.scene.guard.child import ChildTracer
+from pixsim.scene.guard.own_tracer import OwnTracer
 from pixsim.scene.job import Lamps, OutOfTimeError, Passes, TraceJob, irregular, regular
 from pixsim.scene.plan import Plan, WhitePlate, make_render_plan
 from pixsim.scene.rules import BACKGROUNDS, SAMPLE_COUNTS, irregular_tables
@@ -242,13 +243,13 @@ class Renderer:
         self.sees_infinity = any(node.plugin in PICTURES_AT_INFINITY for _, node in nodes_of(state, "Emitter"))
 
     @cached_property
-    def tracer(self) -> Tracer:
+    def tracer(self) -> OwnTracer | ChildTracer:
         """What traces the job: this process if the scene is packaged and has all the time.
 
         Else it is a child, which can be killed, and which a failing card may end too.
         """
         in_this_process = self.packaged and self.source.choice.processors is None and self.ends_at_s is None
-        return tracer_of(self.job, in_this_process, lambda: self.ends_at_s)
+        return OwnTracer(self.job) if in_this_process else ChildTracer(self.job, lambda: self.ends_at_s)
 
     def fall_off(self, rows: slice = WHOLE, columns: slice = WHOLE) -> Array:
         """Return the irradiance relative to that on the axis, at the centre of each rendered cell of some rows and columns."""

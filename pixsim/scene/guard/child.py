@@ -212,7 +212,7 @@ _starting = threading.Lock()
 
 
 class ChildTracer:
-    """A `pixsim.scene.guard.tracer.Tracer` whose work the child does; it loads the job again after a job of another renderer.
+    """An `OwnTracer` whose work the child does; it loads the job again after a job of another renderer.
 
     ends_at_s : returns the time of `time.monotonic` at which the child is killed, with an `OutOfTimeError`; None waits for it
     """

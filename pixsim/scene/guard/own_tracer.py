@@ -92,10 +92,12 @@ class OwnTracer:
         return scene_integrator or mi.load_dict({"type": "path", "block_size": SCALAR_BLOCK} | (self.job.integrator or {}))
 
     def sample_count(self, sampler: str, samples: int) -> int:
+        """Return the samples that a sampler takes where `samples` are asked for."""
         with speaking_mitsuba(self.job.variant) as mi:
             return int(mi.load_dict({"type": sampler, "sample_count": samples}).sample_count())
 
     def trace(self, scene: int, film: dict[str, Any], sampler: str, spp: int, seed: int) -> NDArray[np.float32]:
+        """Return a picture (rows, columns, channels) of a scene of the job; `film` describes the plugin."""
         with speaking_mitsuba(self.job.variant) as mi:
             sensor = self._sensor_with(mi, film, sampler, spp)
             world, integrator = self.loaded[scene]
@@ -110,7 +112,10 @@ class OwnTracer:
         return self._sensor[0]
 
     def trace_together(self, scene: int, rows: tuple[int, int], sampler: str, spp: int, seed: int) -> NDArray[np.float32]:
-        """As `Tracer` has it. Pulses, passes, rows and seed are data of one kernel: other values compile nothing."""
+        """Return rows of the pictures of all pulses of a scene's `Passes`, (rows, columns, pulses); `spp` of each pass.
+
+        Pulses, passes, rows and seed are data of one kernel: other values compile nothing.
+        """
         passes, (height, width) = self.job.passes[scene], self.job.size
         assert passes is not None
         with speaking_mitsuba(self.job.variant) as mi:
@@ -150,7 +155,10 @@ class OwnTracer:
             return pictures.reshape(rows[1] - rows[0], width, -1)
 
     def depths(self, side: int) -> NDArray[np.float32]:
-        """Return what `Tracer.depths` describes: one ray at each place, through the middle of the lens."""
+        """Return depths along the optical axis in m at (side, side, 1) places of the film, seen from the middle of the lens.
+
+        They are infinite beyond all shapes, and NaN where a surface shows something at another depth: behind it, or in a mirror.
+        """
         height, width = self.job.size
         middles = (np.arange(side) + 0.5) / side
         x, y = (middle.ravel().astype(np.float32) for middle in np.meshgrid(middles, middles))
@@ -205,7 +213,7 @@ def _read_exrs(mi: ModuleType, state: ParserState) -> None:
 
 
 def _depth(mi: ModuleType, world: Scene, sensor: Sensor, place: Point2f) -> Float:
-    """Return the depth at places of the film, 0 to 1, as `Tracer.depths` has it."""
+    """Return the depth at places of the film, 0 to 1, as `OwnTracer.depths` has it."""
     dr = drjit()
     ray, _ = sensor.sample_ray(mi.Float(sensor.shutter_open()), mi.Float(0.5), place, mi.Point2f(0.5))
     hit = world.ray_intersect(mi.Ray3f(ray))
