@@ -123,14 +123,14 @@ def setting_text(value: float) -> str:
     return rounded(value, MAX_WRITTEN if float(f"{value:.{MAX_WRITTEN}g}") == value else MAX_DIGITS)
 
 
-def exposure_time(seconds: float, digits: int = 3) -> str:
-    """Return a time of exposure.
+def exposure_time(seconds: float) -> str:
+    """Return a time of exposure, in three digits.
 
     >>> exposure_time(0.00165), exposure_time(3.2e-5), exposure_time(1000.0), exposure_time(0.0)
     ('1.65 ms', '32 µs', '1000 s', '0 ms')
     """
     unit, size_s = ("s", 1.0) if seconds >= 1 else ("ms", 1e-3) if seconds >= 1e-4 or seconds == 0 else ("µs", 1e-6)
-    return f"{rounded(seconds / size_s, digits)} {unit}"
+    return f"{rounded(seconds / size_s, 3)} {unit}"
 
 
 def f_stop(value: float) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import math
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,24 +23,21 @@ def columns_of(rows: Sequence[Mapping[str, float | str | None]]) -> dict[str, Co
     return {name: [cell if (cell := row[name]) is not None else "" for row in rows] for name in (rows[0] if rows else ())}
 
 
-def table_csv(table: dict[str, Column], path: str | os.PathLike[str] | None = None) -> str:
-    """Return a table as CSV text, and write it to `path` if given."""
-    return csv_text([table, *zip(*table.values(), strict=True)], path)
+def table_csv(table: dict[str, Column]) -> str:
+    """Return a table as CSV text."""
+    return csv_text([table, *zip(*table.values(), strict=True)])
 
 
-def csv_text(lines: Iterable[Iterable[Any]], path: str | os.PathLike[str] | None = None) -> str:
-    """Return the lines of a table, the column names first, as CSV with numbers in full precision; write it to `path` if given."""
+def rows_csv(rows: Sequence[dict[str, Any]]) -> str:
+    """Return rows with the same keys as CSV text."""
+    return csv_text([*rows[:1], *(row.values() for row in rows)])
+
+
+def csv_text(lines: Iterable[Iterable[Any]]) -> str:
+    """Return the lines of a table, the column names first, as CSV with numbers in full precision."""
     stream = io.StringIO(newline="")
     csv.writer(stream).writerows(lines)
-    text = stream.getvalue()
-    if path is not None:
-        write_text(Path(path), text)
-    return text
-
-
-def rows_csv(rows: Sequence[dict[str, Any]], path: str | os.PathLike[str] | None = None) -> str:
-    """Return rows with the same keys as CSV, and write it to `path` if given."""
-    return csv_text([*rows[:1], *(row.values() for row in rows)], path)
+    return stream.getvalue()
 
 
 def dataframe_of(table: str | Sequence[Mapping[str, Any]]) -> DataFrame:

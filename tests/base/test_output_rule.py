@@ -15,7 +15,7 @@ from helpers.commands import assert_refused, command
 from pixsim.base.errors import PixsimError
 from pixsim.base.files import LIST, check_replaceable, output_folder, publishing, write_new
 from pixsim.base.locks import LOCK
-from pixsim.base.tables import rows_csv
+from pixsim.base.tables import write_text
 from pixsim.light.exr import write_exr
 from pixsim.light.spectral import SpectralImage
 from pixsim.optics.exchange import write_npz
@@ -30,7 +30,7 @@ WRITERS: dict[str, Callable[[Path], object]] = {
     "light.exr": lambda path: write_exr(path, LIGHT),
     "light.npz": lambda path: write_npz(path, LIGHT),
     **{f"raw{suffix}": lambda path: write_frame(path, FRAME) for suffix in (".exr", ".npz", ".png", ".tiff")},
-    "table.csv": lambda path: rows_csv([{"a": 1}], path),
+    "table.csv": lambda path: write_text(path, "a\r\n1\r\n"),
     "new.toml": lambda path: write_new(path, "a = 1\n"),
 }
 OF_ALL = pytest.mark.parametrize("name", WRITERS)
@@ -124,7 +124,7 @@ def test_each_way_to_a_stream_of_this_process_is_one(way: str, tmp_path: Path) -
             path.parent.mkdir()
             path.symlink_to(first if way == "link to a link" else "../first.csv")
             first.symlink_to(f"/dev/fd/{file.fileno()}")
-        rows_csv([{"a": 1}], path)
+        write_text(path, "a\r\n1\r\n")
         file.write(b"after")
     assert (tmp_path / "shell").read_text().split() == ["before", "a", "1", "after"]
 
