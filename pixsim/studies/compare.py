@@ -406,9 +406,9 @@ def run_prepared(
                 warn(Note("undefined_metric", words=reason).of(filter(None, [case.sensor, case.condition])))
         measuring = stage("error of the film")
         sensors = []
-        for number, (case, (light, plan)) in enumerate(zip(lit, lights, strict=True)):
+        for number, (sensor, (light, plan)) in enumerate(zip(lit, lights, strict=True)):
             progress_of_sensor = share_of(measuring, number / len(lit), (number + 1) / len(lit))
-            sensors.append(compared_sensor(by_number[case.case.group], case, light, plan, progress_of_sensor))
+            sensors.append(compared_sensor(by_number[sensor.case.group], sensor, light, plan, progress_of_sensor))
         measuring(1.0)
         result = Comparison(job=replace(job, groups=tuple(groups), cases=tuple(cases)), table=table, compared=tuple(sensors))
         if job.types is not None:

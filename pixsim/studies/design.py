@@ -49,8 +49,6 @@ from pixsim.viewer.setting import Setting
 
 if TYPE_CHECKING:
     from pixsim.scene.scene import Scene
-    from pixsim.viewer.display_options import Display
-    from pixsim.viewer.imaging import Imaging
     from pixsim.viewer.scene_light import SceneLight
 
 # --- pixels of a study ------------------------------------------------------------------------------------------------------------
