@@ -83,15 +83,7 @@ from pixsim.viewer.metrics import DELTA_E, OF_PIXEL, Metric, MetricContext, Metr
 from pixsim.viewer.scene_light import check_background
 from pixsim.viewer.screen import allows_single
 from pixsim.viewer.setting import Run, Setting
-from pixsim.viewer.without_effect import (
-    SOLVE_FOR,
-    TABLES,
-    CommandFacts,
-    Default,
-    GivenSettings,
-    record_with,
-    warn_of_settings_without_effect,
-)
+from pixsim.viewer.without_effect import SOLVE_FOR, TABLES, Default, GivenSettings, record_with, warn_of_settings_without_effect
 
 # --- settings that do nothing -----------------------------------------------------------------------------------------------------
 
@@ -163,14 +155,14 @@ def settings_of_technology(given: Case[Study], complete: Case[Study], technology
         not_taken += ["max_repeats", "max_evaluations"]
     if study.target_ci_um or states_sizes:
         not_taken.append("refine")
-    facts = CommandFacts(settings=study, picture=complete.picture, not_taken=tuple(not_taken))
+    facts: dict[str, Any] = {"settings": study, "picture": complete.picture, "not_taken": tuple(not_taken)}
     ends = []
     for pitch_um in study_pitches_um(complete.settings, technology)[[-1, 0]].tolist():
         imaging = imaging_of(complete.settings, complete.camera, technology, pitch_um)
-        ends.append(GivenSettings.of(imaging.changed(metrics=metrics_of(study)), tables, facts))
+        ends.append(GivenSettings.of(imaging.changed(metrics=metrics_of(study)), tables, **facts))
     largest, smallest = ends
     names = tuple(name for name in largest.names if technology != NO_TECHNOLOGY or name != OF_THE_SHEET)
-    return GivenSizes(largest.imaging, names, facts, study, technology, smallest)
+    return GivenSizes(largest.imaging, names, **facts, study=study, technology=technology, smallest=smallest)
 
 
 # --- sensor types -----------------------------------------------------------------------------------------------------------------

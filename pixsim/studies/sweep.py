@@ -43,7 +43,7 @@ from pixsim.viewer.scene_light import SceneLight
 from pixsim.viewer.score import Score
 from pixsim.viewer.screen import IdealFacts, warn_of_clipping, white_header, with_white
 from pixsim.viewer.setting import Run
-from pixsim.viewer.without_effect import SOLVE_FOR, CommandFacts, GivenSettings, warn_of_settings_without_effect
+from pixsim.viewer.without_effect import SOLVE_FOR, GivenSettings, warn_of_settings_without_effect
 
 PIXEL, DRAW = "pixel", "draw"  # labels, before those of axes and conditions
 USUAL_REPEATS = 1
@@ -225,8 +225,9 @@ def given_settings(case: Case[Run], light: SpectralImage, unused: Sequence[str],
     run = case.settings
     settings = GivenSettings.of_records(imaging_of_case(case), light)
     names = *settings.names, *unused, *(name for name in OF_RENDER if name in run.model_fields_set)
-    facts = CommandFacts(settings=None if has_background else run, picture=light, not_taken=(*NOT_TAKEN, SOLVE_FOR))
-    return replace(settings, names=tuple(dict.fromkeys(names)), command=facts)
+    names = tuple(dict.fromkeys(names))
+    not_taken = *NOT_TAKEN, SOLVE_FOR
+    return replace(settings, names=names, settings=None if has_background else run, picture=light, not_taken=not_taken)
 
 
 def prepared_case(run: Run, light: SpectralImage, camera: Camera | Mapping[str, Any] | None) -> Case[Run]:

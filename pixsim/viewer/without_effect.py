@@ -412,15 +412,18 @@ def _differ(values: Array, others: Array, tolerance: Array | float) -> bool:
 
 
 @dataclass(frozen=True)
-class CommandFacts:
-    """What decides on settings of a command that no frame shows.
+class GivenSettings:
+    """Settings that hold together, and the names of those that the user gave another value than their default.
 
+    names : dotted, as `pixel.stack.height_um`
     settings : of the command; None for a call with records
     picture : light that is given; None for light that is rendered
     not_taken : names of settings and tables that the command does not take, or that do nothing in this one
-    makes_frames : whether it makes the frames of a run, in other light
+    makes_frames : whether the command makes the frames of a run, in other light
     """
 
+    imaging: Imaging
+    names: tuple[str, ...]
     settings: Setting | None = None
     picture: SpectralImage | None = field(default=None, repr=False)
     not_taken: tuple[str, ...] = ()
@@ -437,22 +440,14 @@ class CommandFacts:
         """Whether the camera has decided on the light."""
         return self.picture is None or "camera" in self.picture.header
 
-
-@dataclass(frozen=True)
-class GivenSettings:
-    """Settings that hold together, and the names of those that the user gave another value than their default.
-
-    names : dotted, as `pixel.stack.height_um`
-    """
-
-    imaging: Imaging
-    names: tuple[str, ...]
-    command: CommandFacts = CommandFacts()
-
     @classmethod
-    def of(cls, imaging: Imaging, tables: Mapping[str, Record], command: CommandFacts) -> GivenSettings:
-        """Return those of tables by their names, as the user gave them, and of the command's settings above all tables."""
-        names = [] if command.settings is None else list(changed_settings(command.settings, but=tuple(tables)))
+    def of(cls, imaging: Imaging, tables: Mapping[str, Record], **facts: Any) -> GivenSettings:
+        """Return those of tables by their names, as the user gave them, and of the command's settings above all tables.
+
+        facts : further fields
+        """
+        settings, picture = facts.get("settings"), facts.get("picture")
+        names = [] if settings is None else list(changed_settings(settings, but=tuple(tables)))
         for table, record in tables.items():
             # A complete camera has its lens inside, whose settings have a table of their own, and the die of its pixels.
             inside = ("lens", "pixels", *OF_ANY_LENS.values()) if table == "camera" else ()
@@ -463,32 +458,32 @@ class GivenSettings:
         same = {f"pixel.{name}" for name, value in imaging.pixel if value == getattr(technology, name, None)}
         if technology.name == NO_TECHNOLOGY:  # which follows from the numbers of a data sheet
             same.add("pixel.technology")
-        if command.picture is not None:
-            sizes_mm = (1e-3 * um for um in displays.picture_size_um(command.picture))
+        if picture is not None:
+            sizes_mm = (1e-3 * um for um in displays.picture_size_um(picture))
             dies_mm = imaging.camera.die_height_mm, imaging.camera.die_mm
             for name, size_mm, die_mm in zip(("camera.die_height_mm", "camera.die_mm"), sizes_mm, dies_mm, strict=True):
                 if die_mm is not None and math.isclose(die_mm, size_mm, rel_tol=SAME_LENGTH):
                     same.add(name)
-        return cls(imaging, tuple(name for name in names if name not in same), command)
+        return cls(imaging, tuple(name for name in names if name not in same), **facts)
 
     @classmethod
     def of_records(cls, imaging: Imaging, light: SpectralImage) -> GivenSettings:
         """Return those of a call with records, in light that is given."""
         tables: dict[str, Record] = {table: getattr(imaging, table) for table in TABLES if table != "lens"}
         tables |= {"lens": imaging.camera.lens_options, "metric": imaging.metrics.options}
-        return cls.of(imaging, tables, CommandFacts(picture=light))
+        return cls.of(imaging, tables, picture=light)
 
     @classmethod
     def of_setting(cls, imaging: Imaging, setting: Setting, **facts: Any) -> GivenSettings:
-        """Return those of a command's settings; `facts` are fields of `CommandFacts`."""
+        """Return those of a command's settings; `facts` are further fields."""
         tables: dict[str, Record] = {table: getattr(setting, table) for table in TABLES}
-        return cls.of(imaging, tables, CommandFacts(settings=setting, **facts))
+        return cls.of(imaging, tables, settings=setting, **facts)
 
     @cached_property
     def base(self) -> SmallFrame | None:
         """What the settings make of the small light; None where it is too small for them."""
         try:
-            trial = SmallFrame(SmallLight.of(self.imaging, self.command.picture), self.imaging)
+            trial = SmallFrame(SmallLight.of(self.imaging, self.picture), self.imaging)
             trial.variance_e2(trial.frame.mean_e)
         except PixsimError:
             return None
@@ -556,31 +551,28 @@ def _is_of_lens(case: GivenSettings, name: str) -> bool | None:
 
 def _costs(case: GivenSettings, name: str) -> bool:
     """Of what a render may cost."""
-    settings = case.command.settings
+    settings = case.settings
     replaced = name == "render_noise" and settings is not None and settings.tolerance_delta_e is not None
-    return case.command.picture is None and not replaced
+    return case.picture is None and not replaced
 
 
 def _is_of_render(case: GivenSettings, name: str) -> bool | None:
     """Of what a render depends on: field, focus, brightness and fall-off."""
     has_fall_off = name != "camera.chief_ray_angle" or case.imaging.camera.relative_illumination is not None
-    return (case.command.is_rendered and has_fall_off) or None
+    return (case.is_rendered and has_fall_off) or None
 
 
 CAMERA_OF_RENDER = "focal_length_mm", "f_number", "die_mm", "die_height_mm", "object_distance_m", "transmittance", "chief_ray_angle"
 ROWS = (
     # The small light is that of a run: other commands have no such frame, or do not take all settings.
-    Row((), lambda case, name: case.command.takes(name)),
+    Row((), lambda case, name: case.takes(name)),
     # It stands behind a thin lens, that of the user's settings.
     Row(("camera", "lens"), _is_of_lens),
     # It is not rendered.
     Row(("tolerance_e", "render_noise", "max_seconds"), _costs),
     Row((*(f"camera.{name}" for name in CAMERA_OF_RENDER), "lens.relative_illumination"), _is_of_render),
     # It has one target, which no parameter states.
-    Row(
-        ("metric.detectability.without",),
-        lambda case, _: has_target(case.imaging.metrics.names) and case.command.settings is not None,
-    ),
+    Row(("metric.detectability.without",), lambda case, _: has_target(case.imaging.metrics.names) and case.settings is not None),
     Row((SOLVE_FOR,), lambda case, _: DETECTABILITY.name in case.imaging.metrics.names),
     # It is bright enough for a time below the longest one, and has no room for what moves.
     Row(("exposure.max_integration_s",), lambda case, _: case.imaging.exposure.integration_s is None or None),
