@@ -218,8 +218,8 @@ def white_of(state: Tree, lamps: list[Lamp], names: Sequence[str]) -> tuple[Spec
     Raises PixsimError for the id of no emitter, of emitters whose spectra have no common unit, and of dark ones.
     """
     if not names:
-        known = [lamp.spectrum for lamp in lamps if lamp.spectrum is not None]
-        return (known[0],) if len(lamps) == len(known) == 1 else ()
+        lamp_spectra = [lamp.spectrum for lamp in lamps if lamp.spectrum is not None]
+        return (lamp_spectra[0],) if len(lamps) == len(lamp_spectra) == 1 else ()
     emitters = {node.id: (index, EMISSION.get(node.plugin)) for index, node in nodes_of(state, "Emitter")}
     if unknown := [name for name in names if name not in emitters]:
         allowed = f"ids of emitters of the scene: {', '.join(emitters)}"
@@ -460,8 +460,8 @@ class Body:
         for across, tangent in ((x, tan_x), (y, tan_x / aspect)):
             # The edge rays of the outermost sample start at the far rim of the lens and cross in the plane in focus.
             focus = tangent * camera.object_distance_m
-            reach = np.maximum(*(np.abs(rim + (focus - rim) * z / camera.object_distance_m) for rim in (a, -a)))
-            if np.all(across > reach) or np.all(across < -reach):
+            edge_m = np.maximum(*(np.abs(rim + (focus - rim) * z / camera.object_distance_m) for rim in (a, -a)))
+            if np.all(across > edge_m) or np.all(across < -edge_m):
                 return False
         return bool(np.any(z > IN_FRONT_M))
 
@@ -484,9 +484,9 @@ def find_bodies(state: Tree, sensor: Node) -> list[Body]:
             group = next(iter(children(node, state).values()), None)
             parts = [child for child, owner in members.items() if owner == group]
             boxes = [_box(state.nodes[part]) for part in parts if state.nodes[part].kind == "Shape"]
-            known = [box for box in boxes if box is not None]
+            stated = [box for box in boxes if box is not None]
             place = to_camera @ matrix_of(node)
-            bodies.append(Body(index, _moved(place, np.vstack(known)) if known and len(known) == len(boxes) else None, None))
+            bodies.append(Body(index, _moved(place, np.vstack(stated)) if stated and len(stated) == len(boxes) else None, None))
         else:
             box = _box(node)
             bodies.append(Body(index, None if box is None else _moved(to_camera, box), _facing(to_camera, node)))

@@ -16,20 +16,20 @@ ALLOWED_LUX = (1e-9, 1e9)  # starlight has 1e-4, the sun 1e5; beyond, float32 wo
 BALANCE = 1e-6  # by which the ratios of lamps may differ through rounding
 
 
-def strength(lux: float, stated_lux: float, as_written: Sequence[Lamp], now: Sequence[Lamp], given: Sequence[str]) -> float:
+def strength(lux: float, stated_lux: float, as_written: Sequence[Lamp], now: Sequence[Lamp], parameters: Sequence[str]) -> float:
     """Return the factor for all lamps that gives the scene's place an illuminance of `lux`.
 
     stated_lux : of the scene's place, with the lamps `as_written` in its file
-    now : the lamps with the parameters of the user, named `given`
+    now : the lamps with the parameters of the user, named `parameters`
 
     Raises PixsimError if the parameters change the lamps' balance, or if their light is unknown or invisible.
     """
     before, after = luminances(as_written), luminances(now)
-    got = f"'{lux:g}' beside {', '.join(given)}" if given else f"'{lux:g}'"
+    got = f"'{lux:g}' beside {', '.join(parameters)}" if parameters else f"'{lux:g}'"
     if not ALLOWED_LUX[0] <= lux <= ALLOWED_LUX[1]:
         raise invalid(ILLUMINANCE, f"'{lux:g}'", f"{ALLOWED_LUX[0]:g} to {ALLOWED_LUX[1]:g} lx")
-    known = all(lamp.spectrum is not None for lamp in (*as_written, *now))
-    if not known or not sum(before.values()) > 0 or not sum(after.values()) > 0:
+    is_stated = all(lamp.spectrum is not None for lamp in (*as_written, *now))
+    if not is_stated or not sum(before.values()) > 0 or not sum(after.values()) > 0:
         raise invalid(ILLUMINANCE, f"{got}, but the light of the emitters is unknown or 0", "emitters of visible light, in tables")
     ratios = [after[index] / before[index] for index in before.keys() & after.keys() if before[index] > 0]
     same = before.keys() == after.keys() and all(after[index] == 0 for index in before if before[index] == 0)
@@ -41,9 +41,9 @@ def strength(lux: float, stated_lux: float, as_written: Sequence[Lamp], now: Seq
 
 def luminances(lamps: Sequence[Lamp]) -> dict[int, float]:
     """Return the luminance of each emitter, by its node; of a picture that of texel value 1; of distant ones the illuminance."""
-    found = {}
+    luminance_of_emitter = {}
     for lamp in lamps:
         luminance = lamp.luminance_cd_per_m2
         for index, (_, power) in lamp.pictures.items():
-            found[index] = luminance * (power if isinstance(power, float) else 1.0)
-    return found
+            luminance_of_emitter[index] = luminance * (power if isinstance(power, float) else 1.0)
+    return luminance_of_emitter

@@ -130,7 +130,7 @@ def finest_detail(chart: Chart) -> float:
     """Return `Chart.details`."""
     if chart.uniform:
         return 1.0
-    found = []
+    details = []
     for axis, n in enumerate(chart.texels.shape):
         lines = np.moveaxis(chart.texels, axis, 1)
         lines = lines[:: max(1, len(lines) // SPECTRUM_LINES)]
@@ -140,8 +140,8 @@ def finest_detail(chart: Chart) -> float:
             continue
         halves = 1 + int(np.searchsorted(np.cumsum(power) / power.sum(), RESOLVED))
         samples = n / chart.texels_per_sample[axis]  # that the whole texture would cover
-        found.append(halves / samples * chart.shape[1])
-    return max(found, default=1.0)
+        details.append(halves / samples * chart.shape[1])
+    return max(details, default=1.0)
 
 
 def _cell_weights(count: int, n: int, texels_per_sample: float, which: slice, nearest: bool = False) -> csr_array:

@@ -73,16 +73,16 @@ def _met_m(node: Node, lens: Array, axis: Array) -> float:
 
 def _contains(node: Node, points: Array) -> Array:
     """Return whether a sphere, cube or cylinder contains points (n, 3) of the world, (n,)."""
-    own = _in_node(node, points)
+    local = _in_node(node, points)
     if node.plugin == "cube":
-        return np.asarray(np.abs(own).max(axis=1) <= 1)
+        return np.asarray(np.abs(local).max(axis=1) <= 1)
     radius = float(node.get("radius", 1.0))
     if node.plugin == "sphere":
-        return np.asarray(np.linalg.norm(own - np.array(node.get("center", [0.0, 0.0, 0.0]), float).ravel(), axis=1) <= radius)
+        return np.asarray(np.linalg.norm(local - np.array(node.get("center", [0.0, 0.0, 0.0]), float).ravel(), axis=1) <= radius)
     first, last = (np.array(node.get(f"p{end}", [0.0, 0.0, end]), float).ravel() for end in (0, 1))
     axis = last - first
-    along = (own - first) @ axis / (axis @ axis)
-    return np.asarray((along >= 0) & (along <= 1) & (np.linalg.norm(own - first - along[:, None] * axis, axis=1) <= radius))
+    along = (local - first) @ axis / (axis @ axis)
+    return np.asarray((along >= 0) & (along <= 1) & (np.linalg.norm(local - first - along[:, None] * axis, axis=1) <= radius))
 
 
 def dark_plate(distance_m: float) -> PixsimError:

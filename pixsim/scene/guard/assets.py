@@ -43,7 +43,7 @@ def _read_spectrum(path: Path, _: tuple[int, ...]) -> str:
         raise PixsimError(f"spectrum: {error}") from None
     if len(table.nm) < 2:
         raise invalid(f"spectrum '{path}'", f"{len(table.nm)} lines with numbers", "at least two")
-    if fall := next(((one, other) for one, other in pairwise(map(float, table.nm)) if not one < other), None):
+    if fall := next(((nm, next_nm) for nm, next_nm in pairwise(map(float, table.nm)) if not nm < next_nm), None):
         got = f"{fall[0]:g} nm followed by {fall[1]:g} nm"
         raise invalid(f"spectrum '{path}'", got, "wavelengths that all rise, or all fall")
     (column,) = table.columns

@@ -63,13 +63,13 @@ class SceneFiles:
     """The tree of a scene's files and its parameters: names after `$`, and values of <default>.
 
     path : of the scene's XML
-    given : parameters that the user sets, which come before the defaults
+    parameters : those that the user sets, which come before the defaults
     root : the tree, complete when `read_scene` returns
     content : of the scene's XML
     """
 
     path: Path
-    given: dict[str, str]
+    parameters: dict[str, str]
     content: str = ""
     names: set[str] = field(default_factory=set)
     defaults: dict[str, str] = field(default_factory=dict)
@@ -87,7 +87,7 @@ class SceneFiles:
     @property
     def assets(self) -> list[Path]:
         """The folder that the parameter `assets` names, in the scene's folder or the working directory; none without it."""
-        name = self.given.get(ASSETS)
+        name = self.parameters.get(ASSETS)
         return [] if name is None else [place for place in (self.folder / name, Path(name)) if os.path.isdir(place)]
 
     @cached_property
@@ -98,7 +98,7 @@ class SceneFiles:
         decides where a link there leads.
         """
         folder = self.folder
-        values = [value for name, value in self.given.items() if value and (name == ASSETS or not NUMBER.fullmatch(value))]
+        values = [value for name, value in self.parameters.items() if value and (name == ASSETS or not NUMBER.fullmatch(value))]
         places = [Path(os.path.abspath(base / value)) for value in values for base in (folder, Path())]
         named = [place for place in places if os.path.exists(place) and not place.is_relative_to(folder)]
         return tuple(Path(os.path.realpath(place)) for place in (folder, packaged_folder(), *named))
@@ -134,19 +134,19 @@ class SceneFiles:
             return value
         size = len(value)
 
-        def put(found: re.Match[str]) -> str:
+        def put(match: re.Match[str]) -> str:
             nonlocal size
-            if found[1] is None:  # an escaped dollar
+            if match[1] is None:  # an escaped dollar
                 return "$"
-            word: str = found[1]
+            word: str = match[1]
             name = max((name for name in self._values if name and word.startswith(name)), key=len, default=None)
             if name is None:
                 self.names.update(re.findall(r"^\w+", word))
                 is_plain = PLAIN_WORD.fullmatch(word) is not None
                 what = f"'${word}'" if is_plain else f"a parameter, {excerpt(word)},"
                 got = f"no value for {what} in line {line}"
-                shown = word if is_plain else "NAME"
-                raise invalid(f"scene '{path}'", got, f'<default name="{shown}" value="…"/> before it, or -D {shown}=…')
+                placeholder = word if is_plain else "NAME"
+                raise invalid(f"scene '{path}'", got, f'<default name="{placeholder}" value="…"/> before it, or -D {placeholder}=…')
             self.names.add(name)
             size += len(self._values[name])
             self._left_substituted -= 1
@@ -160,20 +160,20 @@ class SceneFiles:
         return value
 
 
-def read_scene(path: Path, given: dict[str, str]) -> SceneFiles:
+def read_scene(path: Path, parameters: dict[str, str]) -> SceneFiles:
     """Read a scene's XML and its includes.
 
-    given : parameters that the user sets
+    parameters : those that the user sets
 
     Raises PixsimError for files, XML and includes that Mitsuba must not read.
     """
     if not is_utf8(path):
         raise invalid("scene", f"'{path}'", "a path in UTF-8, for Mitsuba", "Rename the file or its folder.")
-    if bad := next((name for name, value in given.items() if "\0" in value), None):
-        raise invalid(f"scene parameter '{bad}'", repr(given[bad]), "text without NUL")
-    scene = SceneFiles(path, given, _values=dict(given))
-    if ASSETS in given and not scene.assets:
-        raise invalid(f"scene.{ASSETS}", f"'{given[ASSETS]}'", "a folder, whose files the scene may name")
+    if bad := next((name for name, value in parameters.items() if "\0" in value), None):
+        raise invalid(f"scene parameter '{bad}'", repr(parameters[bad]), "text without NUL")
+    scene = SceneFiles(path, parameters, _values=dict(parameters))
+    if ASSETS in parameters and not scene.assets:
+        raise invalid(f"scene.{ASSETS}", f"'{parameters[ASSETS]}'", "a folder, whose files the scene may name")
     scene.root = _read(path, scene, 0, 0)
     return scene
 
@@ -299,4 +299,4 @@ def _write(node: SceneElement, lines: list[str], places: list[str]) -> None:
 
 def escaped(value: str) -> str:
     # Mitsuba would take a dollar for a parameter unless a backslash is before it.
-    return TO_ESCAPE.sub(lambda found: f"&#{ord(found[0])};", value.replace("$", "\\$"))
+    return TO_ESCAPE.sub(lambda match: f"&#{ord(match[0])};", value.replace("$", "\\$"))

@@ -68,23 +68,25 @@ class SceneText:
         return LINE_OF_TEXT.sub(place, QUOTED.sub(quote, message))
 
 
-def open_scene(path: Path, given: dict[str, str], strength: float | None = None, plate: Sequence[float] | None = None) -> SceneText:
+def open_scene(
+    path: Path, parameters: dict[str, str], strength: float | None = None, plate: Sequence[float] | None = None
+) -> SceneText:
     """Return a scene's text for Mitsuba.
 
-    given : parameters that the user sets
+    parameters : those that the user sets
     strength : factor on the light of all emitters
     plate : transform of a white plate that is added to the scene, 16 numbers, row by row
 
     Raises PixsimError for files, elements, plugins, properties and values that Mitsuba must not read.
     """
-    files = read_scene(path, given)
+    files = read_scene(path, parameters)
     assert files.root is not None
     inspector = _Inspector(files)
     root = inspector.scene(files.root)
     root = root if strength is None else with_strength(root, strength)
     root = root if plate is None else with_plate(root, plate)
     text, places = written(root)
-    return SceneText(text, frozenset(files.names), files.defaults, files.content, places, frozenset(given.values()))
+    return SceneText(text, frozenset(files.names), files.defaults, files.content, places, frozenset(parameters.values()))
 
 
 class _Inspector:
@@ -169,7 +171,7 @@ class _Inspector:
             return replace(node, attributes={"name": attributes["name"], "value": value})
 
         if rule.file == "metal" and value not in metals():
-            got = f"{quoted(value, value in self.files.given.values())} in {node.place}"
+            got = f"{quoted(value, value in self.files.parameters.values())} in {node.place}"
             raise invalid(what, got, ", ".join(metals()), did_you_mean(value, metals()))
         if rule.file in (None, "metal"):
             return node

@@ -56,8 +56,8 @@ class OwnTracer:
     def _lens(self) -> dict[str, Any]:
         """The scene's sensor with the lens of the job, without sampler and film."""
         props = parse(self.job.text, self.job.variant).nodes[self.job.sensor].props
-        own = [key for key in props.keys() if key not in OF_THE_LENS and props.type(key).name not in REFERENCES]  # noqa: SIM118
-        return {key: props[key] for key in own} | self.job.lens
+        names = [key for key in props.keys() if key not in OF_THE_LENS and props.type(key).name not in REFERENCES]  # noqa: SIM118
+        return {key: props[key] for key in names} | self.job.lens
 
     def _build(self, mi: ModuleType, lamps: Lamps | None) -> Scene:
         """Build the scene, with some emitters only, each as its neutral picture or power."""
@@ -249,7 +249,7 @@ def _spread(
         mi.sample_tea_32(cell * spp + place, shift)[0]
         for place, shift in ((column * rows + beside, shifts[0]), (row * columns + above, shifts[1]))
     ]
-    x, y = ((mi.Float((group + share) % count) + own) / count for share, own in zip(shares, jitter, strict=True))
+    x, y = ((mi.Float((group + share) % count) + offset) / count for share, offset in zip(shares, jitter, strict=True))
     return mi.Vector2f((column + (beside + x) / rows) / columns, (row + (above + y) / columns) / rows)
 
 
