@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -91,7 +92,10 @@ def film_words(film: dict[str, Any]) -> str:
     """Return the film of a result, and its error; why it is not finer, where the error is too large."""
     height, width = film["shape"]
     words = f"film of {width} × {height} samples"
-    return f"{words}, its error at most {film['delta_e']:.1g} ΔE" if film["met"] else f"{words} ({film['limit']})"
+    if film["met"]:
+        return f"{words}, its error at most {film['delta_e']:.1g} ΔE"
+    limit = re.sub(r"\b(resolution|max_seconds)\b", lambda name: setting(name[0]), film["limit"])  # as the caller writes it
+    return f"{words} ({limit})"
 
 
 def view_words(

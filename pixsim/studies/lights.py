@@ -189,7 +189,7 @@ def rendered_light(request: LightRequest, progress: Progress | None = None) -> t
         part = share_of(progress, rendering, 1.0, f", the error of a film of {image.shape[1]} samples across")
         return request.film_error(image, plan, progress=part)
 
-    fixed = f"set by {setting('resolution')}" if settings.resolution else ""
+    fixed = "set by resolution" if settings.resolution else ""
     render = partial(request.render, progress=share_of(progress, 0.0, rendering))
     light, last = render_on_film(
         scene,
@@ -292,7 +292,7 @@ def render_on_film(
         ):
             limit = f"about {max(left):.1g} ΔE would be left at {end}"
         elif max_seconds is not None and rendered_s + seconds * (wider / width) ** 2 > max_seconds:
-            limit = f"as {setting('max_seconds')} allows"
+            limit = "as max_seconds allows"
         else:
             chosen, before = chosen.with_resolution(wider), film
             plan = plan_of(chosen)
