@@ -89,16 +89,6 @@ class Record(BaseModel, metaclass=RecordType):
         return self
 
     @classmethod
-    def restated_by(cls, names: Iterable[str]) -> set[str]:
-        """Return the fields that cannot be given together with those of `names`, since they state the same quantity."""
-        stated, restated = set(names), set[str]()
-        for group in cls.ALTERNATIVES:
-            others = [words for words in group if not stated.intersection(words)]
-            if len(others) < len(group):
-                restated.update(*others)
-        return restated
-
-    @classmethod
     def __pydantic_init_subclass__(cls, **_: Any) -> None:
         RECORDS.setdefault(cls.__name__, cls)
 
@@ -111,6 +101,16 @@ class Record(BaseModel, metaclass=RecordType):
     def content_hash(self) -> str:
         """Hash of all fields, 16 hexadecimal digits."""
         return content_hash(self.model_dump(mode="json"))
+
+
+def restated_by(record: type[Record], names: Iterable[str]) -> set[str]:
+    """Return the fields that cannot be given together with those of `names`, since they state the same quantity."""
+    stated, restated = set(names), set[str]()
+    for group in record.ALTERNATIVES:
+        others = [words for words in group if not stated.intersection(words)]
+        if len(others) < len(group):
+            restated.update(*others)
+    return restated
 
 
 def content_hash(content: object) -> str:

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from pixsim.base.records import Record, as_list
+from pixsim.base.records import Record, as_list, restated_by
 from pixsim.light.curves import RESPONSES, Curves, QuantumEfficiencies, Sensitivities, Transmittances
 from pixsim.light.quantities import Fraction
 
@@ -16,7 +16,7 @@ def colour_excluded_by(names: Iterable[str]) -> set[str]:
     """The fields of [pixel.colour] that cannot be given together with those of `names`."""
     stated = set(names)
     absolute = stated & set(RESPONSES) - {"sensitivities"}
-    return ColourOptions.restated_by(stated) | ({"peak_quantum_efficiency"} - stated if absolute else set())
+    return restated_by(ColourOptions, stated) | ({"peak_quantum_efficiency"} - stated if absolute else set())
 
 
 def efficiencies_of(colour: object) -> set[str]:

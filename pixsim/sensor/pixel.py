@@ -19,7 +19,7 @@ from pixsim.base.arrays import Array, PositiveArray, Positives
 from pixsim.base.bounds import NotNegative, Positive, Whole, check_broadcast
 from pixsim.base.door import checked_methods
 from pixsim.base.errors import PixsimError, invalid
-from pixsim.base.records import UnitInterval, content_hash
+from pixsim.base.records import UnitInterval, content_hash, restated_by
 from pixsim.light.curves import EfficiencyCurve
 from pixsim.light.quantities import MIN_FRACTION
 from pixsim.light.spectral import LIGHT_SPEED_M_PER_S, PLANCK_J_S
@@ -777,7 +777,7 @@ def stack_options(pixel: PixelOptions, technology: Technology) -> StackOptions |
     if not (values if pixel.stack is None else pixel.stack.enabled):
         return None
     own = pixel.stack.model_dump(exclude_none=True, exclude={"enabled"}) if pixel.stack else {}
-    restated = StackOptions.restated_by(own)
+    restated = restated_by(StackOptions, own)
     options = StackOptions(**{name: value for name, value in values.items() if name not in restated} | own)
     if missing := [name for name in ("height_um", "index") if getattr(options, name) is None]:
         hint = "Give them in [pixel.stack], or stack_… in the technology's file."

@@ -24,7 +24,7 @@ from scipy.special import betaincinv, ndtri
 from pixsim.base.arrays import Array, stream
 from pixsim.base.digits import percent
 from pixsim.base.errors import did_you_mean, invalid
-from pixsim.base.records import Record
+from pixsim.base.records import Record, restated_by
 from pixsim.light.quantities import MIN_FRACTION
 from pixsim.sensor.pixel import ABSORPTION_DEPTH_UM, absorbed_share
 from pixsim.sensor.pixel_options import PixelOptions, excluded_by
@@ -341,7 +341,7 @@ def given_for_process(pixel: PixelOptions) -> set[str]:
     if pixel.stack is None:
         return replaced
     own = set(StackOptions.model_fields) if not pixel.stack.enabled else set(pixel.stack.model_dump(exclude_none=True))
-    return replaced | {f"stack_{name}" for name in own | StackOptions.restated_by(own)}
+    return replaced | {f"stack_{name}" for name in own | restated_by(StackOptions, own)}
 
 
 def settings_of(study: Study, unknowns: Sequence[Unknown], draw: Mapping[str, float]) -> dict[str, Any]:

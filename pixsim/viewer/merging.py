@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from functools import reduce
+from functools import partial, reduce
 from typing import Any
 
 from pixsim.base.layers import Layer, merge_tables
+from pixsim.base.records import restated_by
 from pixsim.light.curves import RESPONSES
 from pixsim.optics.lens_options import replaced_by_lens
 from pixsim.sensor.colour_options import colour_excluded_by
@@ -18,10 +19,10 @@ from pixsim.viewer.display_options import Display
 # Table -> the words that those of another layer restate.
 RESTATED: dict[str, Callable[[Iterable[str]], set[str]]] = {
     "pixel": excluded_by,
-    "stack": StackOptions.restated_by,
+    "stack": partial(restated_by, StackOptions),
     "colour": colour_excluded_by,
-    "develop": Develop.restated_by,
-    "display": Display.restated_by,
+    "develop": partial(restated_by, Develop),
+    "display": partial(restated_by, Display),
 }
 
 

@@ -14,6 +14,7 @@ from helpers.commands import command
 from pydantic import BaseModel
 
 import pixsim
+from pixsim.base.records import restated_by
 from pixsim.base.toml import packaged, read_toml
 from pixsim.base.units import UNITS, unit_of
 from pixsim.cli import options
@@ -43,10 +44,10 @@ def stated_once(table: dict[str, Any], words: bool) -> dict[str, Any]:
     velocity = VELOCITIES[-1 if words else 0]
     motion[velocity] = table["motion"][velocity]
     white = "white_cd_per_m2" if words else "white"
-    display = {name: value for name, value in table["display"].items() if name not in Display.restated_by([white])}
+    display = {name: value for name, value in table["display"].items() if name not in restated_by(Display, [white])}
     develop: dict[str, Any] = {}
     for name in sorted(table["develop"], reverse=words):
-        if not Develop.restated_by([name]) & develop.keys():
+        if not restated_by(Develop, [name]) & develop.keys():
             develop[name] = table["develop"][name]
     kept: dict[str, Any] = {}
     for name in sorted(table["pixel"], key=lambda name: (name in STANDS_FOR) != words):
