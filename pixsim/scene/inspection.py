@@ -99,9 +99,6 @@ class Inspection:
         if self.surfaces.short:
             ranges = ", ".join(sorted(self.surfaces.short))
             words.append(f"reflectance tables cover only {ranges}, and Mitsuba takes 0 outside; extend them to 360-830 nm")
-        if self.sensor.get("shutter_open", 0.0) != self.sensor.get("shutter_close", 0.0):  # no scene that pixsim reads has motion
-            exposure = f"{setting('exposure.integration_s')} sets the exposure, {setting('exposure.max_integration_s')} its limit"
-            words.append(f"the sensor's shutter_open and shutter_close change nothing, since nothing moves: {exposure}")
         if self.surfaces.ending:
             words.append(f"outside {VISIBLE.words} these are what Mitsuba makes of them: {_named(self.surfaces.ending)}")
         words += [*warnings_of_skies(self.state, self.scene.choice.reading), *light_that_ends(self)]

@@ -139,18 +139,6 @@ def test_plan_line_lamp_needs_one_pulse():
     assert plan.light.passes == 1 < plan.light.full_passes
 
 
-@pytest.mark.parametrize(("opens", "closes", "notes"), [(0, 0.01, 1), (-0.5, 0.5, 1), (0.5, 0.5, 0)])
-def test_plan_says_that_a_shutter_of_the_scene_changes_nothing(opens, closes, notes, tmp_path):
-    shutter = f'<float name="shutter_open" value="{opens}"/><float name="shutter_close" value="{closes}"/>'
-    path = edited(tmp_path, "macbeth", ('<float name="fov"', f'{shutter}<float name="fov"'))
-    told = [note for note in make_render_plan(load(path, resolution=16)).warnings if "shutter" in note]
-    assert len(told) == notes
-    for note in told:
-        assert "shutter_open and shutter_close change nothing" in note
-        assert "Exposure(integration_s=…) sets the exposure" in note
-    assert not make_render_plan(load("macbeth", resolution=16)).warnings
-
-
 def test_plan_unreachable_tolerance_warns():
     plan = make_plan(load("still_life"), tolerance_e=1e-6)
     assert plan.bound_e > 1e-6
