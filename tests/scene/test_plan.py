@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from helpers.chains import imaging_chain
 from helpers.commands import assert_refused, command
-from helpers.edits import decision, edited, load
+from helpers.edits import decision, load
 from scipy.stats import t as student
 
 import pixsim
