@@ -28,7 +28,7 @@ from pixsim.sensor.colour import Layout, channel_efficiency
 from pixsim.sensor.colour_options import channels_of, efficiencies_of
 from pixsim.sensor.diffusion import ABSORPTION_RANGE_NM, SILICON_K, absorption_per_um
 from pixsim.sensor.mismatch import E_PER_FC, ELECTRON_C, dark_current_of_geometry_e_per_s, follower_offset_e, prnu_of_area
-from pixsim.sensor.pixel_options import ABSOLUTE_ZERO_C, BORDER_PIXELS, NO_TECHNOLOGY, STANDS_FOR, Pixel, PixelOptions
+from pixsim.sensor.pixel_options import ABSOLUTE_ZERO_C, BORDER_PIXELS, NO_TECHNOLOGY, NUMBERS, STANDS_FOR, Pixel, PixelOptions
 from pixsim.sensor.quantities import WELL_RANGE_E, AbsorbedWavelength, AbsorptionDepth, HotMedian, HotSpread
 from pixsim.sensor.saturation import full_well_for_e
 from pixsim.sensor.stack_options import StackOptions
@@ -599,7 +599,11 @@ class PixelPhysics:
         """Return a number that pixels and technologies may state: the pixel's own, or that of its technology, in its unit.
 
         quantity : name of a field of `PixelOptions` that a technology may have, too
+
+        Raises PixsimError for another name.
         """
+        if quantity not in NUMBERS:
+            raise invalid("quantity", f"'{quantity}'", ", ".join(NUMBERS))
         return number_of(self.pixel, self.technology, quantity)
 
     def _uncut_quantum_efficiency(self, wavelength_nm: Array) -> Array:
