@@ -525,7 +525,7 @@ def draw_moves(axes: Axes, place: int, group: Group, name: str) -> None:
     curves = sorted(group.moved[name], key=lambda curve: curve.optimum.pitch_um)
     base_um = group.base.optimum.pitch_um
     sizes_um = [curve.optimum.pitch_um for curve in curves]
-    low_um, high_um = min(base_um, *sizes_um), max(base_um, *sizes_um)
+    low_um, high_um = min([base_um, *sizes_um]), max([base_um, *sizes_um])  # an axis may have no curve of this technology
     axes.barh(place, high_um - low_um, left=low_um, height=0.5, color=COLOURS[0], alpha=0.25)
     axes.vlines(base_um, place - 0.35, place + 0.35, color="0.2", lw=1)
     for curve, size_um in zip(curves, sizes_um, strict=True):

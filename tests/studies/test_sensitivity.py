@@ -200,7 +200,7 @@ def test_sensitivity_command_two_workers_same_result(done: tuple[StudyResult, Pa
     assert code == 0
     out, lines = desk / "command", message.splitlines()
     assert lines[0].startswith("0.35um: ")
-    assert any(line.startswith("0.35um, PRNU") for line in lines), lines
+    assert any(line.strip().startswith("0.35um, PRNU") for line in lines), "\n".join(lines)
     assert rows(out) == rows(done[1]), "the rows depend on the number of workers"
     expected = json.loads(json.dumps({"schema": SCHEMA} | cases_data(done[0], [])))
     assert json.loads((out / "summary.json").read_text(encoding="utf-8")) == expected
