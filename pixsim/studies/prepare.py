@@ -104,27 +104,16 @@ def cases_to_try(cases: Sequence[Case[Study]]) -> list[int]:
 
 @dataclass(frozen=True)
 class GivenSizes(GivenSettings):
-    """Settings of one technology of a study, at its largest pixel size.
+    """Settings of one technology of a study, at one of its pixel sizes; what changes the list of sizes has an effect, too.
 
     study : as the user set it
-    smallest : the same settings at the smallest size
     """
 
     study: Study | None = None
     technology: str = ""
-    smallest: GivenSettings | None = None
-
-    def without_effect(self) -> list[str]:
-        """Return the names of the settings that do nothing at both ends of the sizes, nor to their list."""
-        names = super().without_effect()
-        if self.smallest is not None:
-            of_frames = tuple(name for name in names if not name.startswith("pitch."))
-            acting = {*of_frames} - {*replace(self.smallest, names=of_frames).without_effect()}
-            names = [name for name in names if name not in acting]
-        return [name for name in names if not self._moves_sizes(name)]
 
     def _acts(self, name: str) -> bool:
-        return not name.startswith("pitch.") and super()._acts(name)
+        return (not name.startswith("pitch.") and super()._acts(name)) or self._moves_sizes(name)
 
     def _moves_sizes(self, name: str) -> bool:
         assert self.study is not None
@@ -140,8 +129,8 @@ class GivenSizes(GivenSettings):
 OF_THE_SHEET = "pitch.own_um"
 
 
-def settings_of_technology(given: Case[Study], complete: Case[Study], technology: str) -> GivenSizes:
-    """Return the settings of one technology in one case.
+def settings_of_technology(given: Case[Study], complete: Case[Study], technology: str) -> list[GivenSizes]:
+    """Return the settings of one technology in one case, at its largest and its smallest pixel size.
 
     given : as the user set it
     complete : the same, with what the user left open
@@ -156,13 +145,13 @@ def settings_of_technology(given: Case[Study], complete: Case[Study], technology
     if study.target_ci_um or states_sizes:
         not_taken.append("refine")
     facts: dict[str, Any] = {"settings": study, "picture": complete.picture, "not_taken": tuple(not_taken)}
-    ends = []
+    settings = []
     for pitch_um in study_pitches_um(complete.settings, technology)[[-1, 0]].tolist():
         imaging = imaging_of(complete.settings, complete.camera, technology, pitch_um)
-        ends.append(GivenSettings.of(imaging.changed(metrics=metrics_of(study)), tables, **facts))
-    largest, smallest = ends
-    names = tuple(name for name in largest.names if technology != NO_TECHNOLOGY or name != OF_THE_SHEET)
-    return GivenSizes(largest.imaging, names, **facts, study=study, technology=technology, smallest=smallest)
+        at_size = GivenSettings.of(imaging.changed(metrics=metrics_of(study)), tables, **facts)
+        names = tuple(name for name in at_size.names if technology != NO_TECHNOLOGY or name != OF_THE_SHEET)
+        settings.append(GivenSizes(at_size.imaging, names, **facts, study=study, technology=technology))
+    return settings
 
 
 # --- sensor types -----------------------------------------------------------------------------------------------------------------
@@ -743,7 +732,9 @@ def _warn_of_settings_without_effect(given: Sequence[Case[Study]], complete: Seq
     tried = [(given[number], complete[number]) for number in cases_to_try(given)]
     technologies = list(dict.fromkeys(name for case in given for name in case.settings.technologies))
     sensors = {
-        label: (settings_of_technology(*pair, name) for pair in tried if name in pair[0].settings.technologies)
+        label: (
+            settings for pair in tried if name in pair[0].settings.technologies for settings in settings_of_technology(*pair, name)
+        )
         for name, label in zip(technologies, labels_of(technologies), strict=True)
     }
     warn_of_settings_without_effect(sensors)

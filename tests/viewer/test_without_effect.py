@@ -334,7 +334,8 @@ def said(command: Run | Study, technology: str = "") -> set[str]:
     if isinstance(command, Run):
         return set(given_of(command).without_effect())
     case = Case(command, resolved=(chart(), Camera()))
-    return set(settings_of_technology(case, case, technology or command.technologies[0]).without_effect())
+    at_sizes = settings_of_technology(case, case, technology or command.technologies[0])
+    return set.intersection(*(set(settings.without_effect()) for settings in at_sizes))
 
 
 def study_of(**settings: Any) -> Study:
