@@ -10,14 +10,42 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal, Protocol, Self, TypeVar
 
 from pixsim.base.arrays import Array
-
-if TYPE_CHECKING:
-    from pixsim.sensor.reading import Readout
+from pixsim.sensor.mismatch import DarkSpread
+from pixsim.sensor.pixel import PixelPhysics
 
 Along = Literal["pixel", "row", "column"]
+
+
+class NoisyReadout(Protocol):
+    """What the sources need of a `pixsim.sensor.reading.Readout`, whose noise floor is their sum."""
+
+    @property
+    def exposures(self) -> int: ...
+
+    @property
+    def silent(self) -> tuple[str, ...]: ...
+
+    @property
+    def physics(self) -> PixelPhysics: ...
+
+    @property
+    def read_noise_at_gain_e(self) -> float: ...
+
+    @property
+    def prnu(self) -> float: ...
+
+    @property
+    def dark_spread(self) -> DarkSpread: ...
+
+    def with_physics(self, **numbers: Any) -> Self: ...
+
+    def with_silent(self, names: tuple[str, ...]) -> Self: ...
+
+
+AnyReadout = TypeVar("AnyReadout", bound=NoisyReadout)
 
 
 @dataclass(frozen=True)
@@ -34,14 +62,14 @@ class NoiseSource:
     """
 
     name: str
-    deviation: Callable[[Readout], float]
+    deviation: Callable[[NoisyReadout], float]
     is_temporal: bool = False
     along: Along = "pixel"
     grows_with: Literal["", "light", "dark"] = ""
     is_rare: bool = False
     undrawn: Callable[[Any], Any] | None = field(default=None, compare=False)
 
-    def of_frame(self, readout: Readout) -> float:
+    def of_frame(self, readout: NoisyReadout) -> float:
         """Return the deviation in a frame, which may be the sum of several exposures.
 
         What is another value in each adds up by squares, what is the same in each by itself; what grows with the charge of all
@@ -69,14 +97,14 @@ SOURCES = (
 )
 
 
-def chosen(readout: Readout, is_temporal: bool | None, along: Along | None) -> list[NoiseSource]:
+def chosen(readout: NoisyReadout, is_temporal: bool | None, along: Along | None) -> list[NoiseSource]:
     """Return the sources of a readout that are temporal or fixed, and shared in that way; None for both, and for any way."""
     own = [each for each in SOURCES if each.name not in readout.silent]
     own = [each for each in own if is_temporal is None or each.is_temporal == is_temporal]
     return [each for each in own if along is None or each.along == along]
 
 
-def constant_e(readout: Readout, *, is_temporal: bool | None = None, along: Along | None = None) -> float:
+def constant_e(readout: NoisyReadout, *, is_temporal: bool | None = None, along: Along | None = None) -> float:
     """Return the standard deviation of all sources together that grow neither with light nor with dark charge, in electrons.
 
     is_temporal, along : of which sources; None means all
@@ -92,7 +120,7 @@ def constant_e(readout: Readout, *, is_temporal: bool | None = None, along: Alon
 
 
 def variance_e2(
-    readout: Readout,
+    readout: NoisyReadout,
     start: Array | float = 0.0,
     *,
     light_e: Array | float = 0.0,
@@ -112,18 +140,18 @@ def variance_e2(
     return start
 
 
-def variances_e2(readout: Readout, *, light_e: Array | float = 0.0, dark_e: float = 0.0) -> dict[str, Array | float]:
+def variances_e2(readout: NoisyReadout, *, light_e: Array | float = 0.0, dark_e: float = 0.0) -> dict[str, Array | float]:
     """Return the terms of `variance_e2` by the names of their sources."""
     others = {each: tuple(other.name for other in SOURCES if other is not each) for each in chosen(readout, None, None)}
     alone = {each.name: readout.with_silent(names) for each, names in others.items()}
     return {name: variance_e2(only, light_e=light_e, dark_e=dark_e) for name, only in alone.items()}
 
 
-def without_source(readout: Readout, name: str) -> Readout:
+def without_source(readout: AnyReadout, name: str) -> AnyReadout:
     """Return a readout without one of the `SOURCES`, by its name; all others are drawn as before, but for their random numbers."""
     (source,) = (each for each in SOURCES if each.name == name)
     silent = readout.with_silent((*readout.silent, name))
-    undrawn: Readout = silent if source.undrawn is None else source.undrawn(silent)
+    undrawn: AnyReadout = silent if source.undrawn is None else source.undrawn(silent)
     return undrawn
 
 
